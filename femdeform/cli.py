@@ -1,0 +1,368 @@
+"""The command line. Imports nothing heavy: what a command needs is imported when it runs."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from femdeform.errors import FemdeformError, InputError
+
+_BAD_INPUT = 2
+_ENVIRONMENT = 4
+_INTERRUPTED = 130
+
+_DESCRIPTION = "Large-deformation simulation: many implicit solvers behind one scene file."
+_EPILOG = """\
+examples:
+  femdeform check scenes/rubber-mount.yaml
+  femdeform run scenes/rubber-mount.yaml --out results/mount
+  mpiexec -n 2 femdeform run scenes/rubber-mount.yaml
+  femdeform view results/mount --png mount.png
+  femdeform report results/mount
+
+exit codes:
+  0 done    1 verification or expectation failed    2 bad input    3 not converged    4 environment
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments without the program's name; default: those of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0 done, 1 verification or expectation failed, 2 bad input, 3 not converged, 4 environment,
+        130 interrupted.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        # Text of a scene may hold what a terminal's encoding lacks; that must not end a run.
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    parser = build_parser()
+    try:
+        arguments = parser.parse_args(argv)
+    except SystemExit as stop:  # argparse leaves this way, for --help and for errors
+        return stop.code if isinstance(stop.code, int) else _BAD_INPUT
+    if arguments.command is None:
+        parser.print_help()
+        return 0
+    command: Callable[[argparse.Namespace], int] = arguments.execute
+    try:
+        code = command(arguments)
+        sys.stdout.flush()
+        return code
+    except FemdeformError as error:
+        _complain(error)
+        return error.exit_code
+    except KeyboardInterrupt:
+        if _is_first_rank():
+            print("femdeform: interrupted", file=sys.stderr)
+        return _INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has gone (`femdeform schema | head`); Python would complain again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _ENVIRONMENT
+
+
+def _complain(error: FemdeformError) -> None:
+    """Say what is wrong, once however many ranks find it."""
+    if not _is_first_rank():
+        return
+    if isinstance(error, InputError):
+        # A fault with a place stands for itself: editors look for file:line at its start.
+        lines = [str(fault) if fault.file else f"femdeform: {fault}" for fault in error.faults]
+    else:
+        lines = [f"femdeform: {error}"]
+    print("\n".join(lines), file=sys.stderr, flush=True)
+
+
+def _is_first_rank() -> bool:
+    from femdeform.parallel import launched_rank
+
+    return launched_rank() == 0
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that complains on the first rank only, with a hint where to read on."""
+
+    def error(self, message: str) -> NoReturn:
+        if _is_first_rank():
+            self.print_usage(sys.stderr)
+            print(f"{self.prog}: {message} (see {self.prog} --help)", file=sys.stderr)
+        raise SystemExit(_BAD_INPUT)
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if _is_first_rank():
+            super()._print_message(message, file)
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from femdeform.info import own_version
+
+        print(f"femdeform {own_version()}")
+        parser.exit()
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    parser: argparse.ArgumentParser = _parser(
+        _Parser, prog="femdeform", description=_DESCRIPTION, epilog=_EPILOG
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", title="commands", parser_class=_Parser
+    )
+
+    def add(name: str, execute: Callable[[argparse.Namespace], int], help: str, epilog: str) -> Any:
+        description = help[0].upper() + help[1:] + "."
+        command = _parser(commands.add_parser, name, help=help, description=description, epilog=epilog)
+        command.set_defaults(execute=execute)
+        return command
+
+    check = add("check", _check, "report every fault of scene files", _CHECK_EPILOG)
+    check.add_argument("scene", nargs="+", type=Path, metavar="SCENE", help="scene file (YAML)")
+    _add_set(check)
+
+    run = add("run", _run, "run a scene and write a result folder", _RUN_EPILOG)
+    run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (YAML)")
+    run.add_argument(
+        "--out", type=Path, metavar="DIR", help="result folder (default: results/<name of the scene>)"
+    )
+    _add_set(run)
+    run.add_argument("--resume", action="store_true", help="go on from the result folder's checkpoint")
+    run.add_argument("--trace", action="store_true", help="write iterations.csv, one row an iteration")
+    run.add_argument(
+        "--threads",
+        type=_positive,
+        metavar="N",
+        help="threads of the kernels (default: cores divided by ranks)",
+    )
+    run.add_argument("--quiet", action="store_true", help="no progress and no notices")
+
+    view = add("view", _view, "draw a result, without a display if need be", _VIEW_EPILOG)
+    view.add_argument("result", type=Path, metavar="RESULT", help="result folder")
+    view.add_argument("--png", type=Path, metavar="FILE", help="write a picture")
+    view.add_argument("--movie", type=Path, metavar="FILE", help="write a movie of all frames (.mp4 or .gif)")
+    view.add_argument(
+        "--frame",
+        type=int,
+        metavar="N",
+        help="frame, from 0; negative counts from the end (default: the last)",
+    )
+    view.add_argument("--field", metavar="NAME", help="field to colour by, such as displacement or von_mises")
+
+    report = add("report", _report, "write one self-contained HTML page about a result", _REPORT_EPILOG)
+    report.add_argument("result", type=Path, metavar="RESULT", help="result folder")
+    report.add_argument(
+        "--out", type=Path, metavar="FILE", help="page to write (default: in the result folder)"
+    )
+
+    mesh = add("mesh", _mesh, "make a mesh by a recipe, or describe a mesh file", _MESH_EPILOG)
+    mesh.add_argument(
+        "recipe", nargs="?", metavar="RECIPE", help="name of a recipe, such as block or rubber_mount"
+    )
+    mesh.add_argument("--info", type=Path, metavar="FILE", help="describe a mesh file instead")
+    mesh.add_argument(
+        "--out", type=Path, metavar="FILE", help="mesh file to write; the ending says which format"
+    )
+    _add_set(mesh)
+
+    bench = add("bench", _bench, "run the benchmarks", _BENCH_EPILOG)
+    bench.add_argument("name", nargs="*", metavar="NAME", help="benchmark (default: all)")
+    bench.add_argument("--out", type=Path, metavar="DIR", help="folder for the tables")
+
+    add("schema", _schema, "print the JSON schema of scene files, for editors", _SCHEMA_EPILOG)
+    add("info", _info, "print versions, PETSc packages, threads and optional parts", "")
+    return parser
+
+
+def _parser(make: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    # Abbreviated options would change their meaning when a longer one is added.
+    return make(
+        *arguments, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options
+    )
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a value; may be given several times",
+    )
+
+
+def _positive(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a positive whole number, not {text}")
+    return int(text)
+
+
+# ------------------------------------------------------------------------------------------------- commands
+
+_CHECK_EPILOG = """\
+Every fault is printed as file:line: key: message, sorted by line. The exit code is 2 if there is any.
+
+examples:
+  femdeform check scenes/*.yaml
+  femdeform check scene.yaml --set time.dt=0.02 --set conditions[0].on=beam.left
+"""
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from femdeform.scene.checks import check_file
+
+    is_first = _is_first_rank()
+    code = 0
+    for path in arguments.scene:
+        faults = check_file(path, arguments.overrides)
+        if faults:
+            code = InputError.exit_code
+        if not is_first:
+            continue
+        for fault in faults:
+            print(fault, file=sys.stderr)
+        if not faults:
+            print(f"{path}: no faults")
+    return code
+
+
+_RUN_EPILOG = """\
+examples:
+  femdeform run scene.yaml
+  femdeform run scene.yaml --out results/soft --set bodies.beam.material.youngs_modulus=1e5
+  femdeform run scene.yaml --set conditions[1].rate=2 --set linear_solver.preset=newton-gamg
+  femdeform run scene.yaml --resume
+  mpiexec -n 4 femdeform run scene.yaml
+"""
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from femdeform.run.runner import run_scene
+
+    return run_scene(
+        arguments.scene,
+        out=arguments.out,
+        overrides=arguments.overrides,
+        resume=arguments.resume,
+        trace=arguments.trace,
+        threads=arguments.threads,
+        quiet=arguments.quiet,
+    )
+
+
+_VIEW_EPILOG = """\
+examples:
+  femdeform view results/beam
+  femdeform view results/beam --png beam.png --field von_mises
+  femdeform view results/beam --movie beam.mp4
+"""
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    from femdeform.post.render import view
+
+    for path in view(
+        arguments.result,
+        png=arguments.png,
+        movie=arguments.movie,
+        frame=arguments.frame,
+        field=arguments.field,
+    ):
+        print(path)
+    return 0
+
+
+_REPORT_EPILOG = """\
+examples:
+  femdeform report results/beam
+  femdeform report results/beam --out beam.html
+"""
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from femdeform.post.report import write_report
+
+    print(write_report(arguments.result, arguments.out))
+    return 0
+
+
+_MESH_EPILOG = """\
+examples:
+  femdeform mesh block --out block.vtu --set size=[1,0.2,0.2] --set cells=[40,8,8]
+  femdeform mesh rubber_mount --out mount.msh --set element_size=0.004
+  femdeform mesh --info mount.msh
+"""
+
+
+def _mesh(arguments: argparse.Namespace) -> int:
+    from femdeform import registry
+    from femdeform.scene.overrides import parse_override
+
+    settings: dict[str, object] = {}
+    faults = []
+    for text in arguments.overrides:
+        override, problems = parse_override(text)
+        faults += problems
+        if override is not None:
+            settings[".".join(map(str, override.path))] = override.value
+    if faults:
+        raise InputError(faults)
+    command = registry.resolve(registry.MESH["command"])
+    print(command(arguments.recipe, settings, arguments.out, arguments.info))
+    return 0
+
+
+_BENCH_EPILOG = """\
+examples:
+  femdeform bench
+  femdeform bench newton --out results/bench
+"""
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    from femdeform import registry
+
+    code: int = registry.resolve(registry.BENCHMARKS["run"])(arguments.name, arguments.out)
+    return code
+
+
+_SCHEMA_EPILOG = """\
+example:
+  femdeform schema > femdeform.schema.json
+
+With the line below as the first of a scene, editors that know the YAML language server check and complete it:
+  # yaml-language-server: $schema=femdeform.schema.json
+"""
+
+
+def _schema(_: argparse.Namespace) -> int:
+    import json
+
+    from femdeform.scene.export import json_schema
+
+    if _is_first_rank():
+        print(json.dumps(json_schema(), indent=2))
+    return 0
+
+
+def _info(_: argparse.Namespace) -> int:
+    from femdeform.info import describe
+
+    if _is_first_rank():
+        print(describe())
+    return 0

@@ -1,0 +1,97 @@
+"""Planes, spheres and boxes as rigid obstacles: signed distance, its gradient and its curvature."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from femdeform.scene import schema
+from femdeform.types import FloatArray
+
+
+class Shape(Protocol):
+    """A rigid shape; positive distances are free space."""
+
+    def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signed distance (n,) [m] of positions (n, dim) and its unit gradient (n, dim)."""
+
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """Second derivative of the distance divided by its projector I - n n^T, (n,) [1/m]."""
+
+
+class Plane:
+    """Half space; free on the side of the normal."""
+
+    def __init__(self, point: FloatArray, normal: FloatArray) -> None:
+        self.point = point
+        self.normal = normal / np.linalg.norm(normal)
+
+    def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signed distance and normal."""
+        return (x - self.point) @ self.normal, np.broadcast_to(self.normal, x.shape)
+
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """Zero: the plane is flat."""
+        return np.zeros(len(x))
+
+
+class Sphere:
+    """Ball (a circle in 2D); free outside, or inside for a bowl."""
+
+    def __init__(self, center: FloatArray, radius: float, inside: bool) -> None:
+        self.center = center
+        self.radius = radius
+        self.sign = -1.0 if inside else 1.0
+
+    def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signed distance and normal; at the very centre the normal is the last axis."""
+        offset = x - self.center
+        r = np.linalg.norm(offset, axis=1)
+        normal = np.zeros_like(offset)
+        normal[:, -1] = 1.0
+        np.divide(offset, r[:, None], out=normal, where=r[:, None] > 0.0)
+        return self.sign * (r - self.radius), self.sign * normal
+
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """Reciprocal distance from the centre, with the sign of the free side."""
+        r = np.linalg.norm(x - self.center, axis=1)
+        return self.sign / np.maximum(r, 1e-12 * self.radius)
+
+
+class Box:
+    """Axis-parallel box; free outside, or inside for a container."""
+
+    def __init__(self, lowest: FloatArray, highest: FloatArray, inside: bool) -> None:
+        self.center = 0.5 * (lowest + highest)
+        self.half = 0.5 * (highest - lowest)
+        self.sign = -1.0 if inside else 1.0
+
+    def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signed distance and normal of the nearest face, edge or corner."""
+        offset = x - self.center
+        side = np.where(offset < 0.0, -1.0, 1.0)
+        excess = np.abs(offset) - self.half
+        outside = np.maximum(excess, 0.0)
+        length = np.linalg.norm(outside, axis=1)
+        face = np.argmax(excess, axis=1)
+        normal = np.zeros_like(x)
+        rows = np.arange(len(x))
+        normal[rows, face] = side[rows, face]
+        is_outside = length > 0.0
+        normal[is_outside] = (side * outside)[is_outside] / length[is_outside, None]
+        distance = np.where(is_outside, length, excess[rows, face])
+        return self.sign * distance, self.sign * normal
+
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """Zero: penalty forces act inside the box, or outside the container, where the nearest faces are flat."""
+        return np.zeros(len(x))
+
+
+def make_shape(obstacle: schema.Obstacle) -> Shape:
+    """Shape of an obstacle of a scene, at its initial place."""
+    if isinstance(obstacle, schema.PlaneObstacle):
+        return Plane(np.array(obstacle.point), np.array(obstacle.normal))
+    if isinstance(obstacle, schema.SphereObstacle):
+        return Sphere(np.array(obstacle.center), obstacle.radius, obstacle.inside)
+    return Box(np.array(obstacle.min), np.array(obstacle.max), obstacle.inside)

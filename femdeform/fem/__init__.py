@@ -1,0 +1,1 @@
+"""Finite elements: discretization, conditions, and the function that a step minimises."""

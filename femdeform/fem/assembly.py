@@ -1,0 +1,159 @@
+"""The sparsity of the global Hessian, and which cell adds to which of its blocks; computed once for a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from femdeform.fem import kernels
+from femdeform.parallel import Partition
+from femdeform.types import FloatArray, IntArray
+
+
+class SlotSum:
+    """Sum of values held per (cell, node of the cell) at the nodes.
+
+    Parameters
+    ----------
+    cells : list of (n_cells, n_nodes) int arrays
+        Nodes of the cells of each group; slots are numbered group by group, cell by cell, node by node.
+    n_nodes : int
+        Number of nodes.
+    """
+
+    def __init__(self, cells: Sequence[np.ndarray], n_nodes: int) -> None:
+        nodes = np.concatenate([c.ravel() for c in cells]) if cells else np.empty(0, dtype=np.int32)
+        self.n_slots = int(nodes.size)
+        self.entries = np.argsort(nodes, kind="stable").astype(np.int32)
+        self.offsets = _offsets(nodes, n_nodes)
+
+    def __call__(self, slots: FloatArray, out: FloatArray) -> None:
+        """Sum `slots` (n_slots, d) into `out` (n_nodes, d), overwriting it."""
+        kernels.sum_slots(slots, self.offsets, self.entries, out)
+
+
+@dataclass(frozen=True)
+class SparseHessian:
+    """A global Hessian as this rank's contribution in CSR form over local degrees of freedom.
+
+    The matrix of the whole problem is the sum over the ranks, with `Partition.global_index` as the node numbering.
+
+    Attributes
+    ----------
+    row_offsets : (n_local dim + 1,) int32
+    columns : (n_values,) int32
+    values : (n_values,) float64
+        A buffer that the next evaluation overwrites.
+    points : (n_local, dim) float64
+        Reference positions of the nodes, for the rigid-body modes of multigrid.
+    free : (n_local, dim) bool
+        Degrees of freedom that are not prescribed; the rows and columns of the others are diagonal.
+    partition : Partition
+        Ownership of the nodes.
+    """
+
+    row_offsets: np.ndarray
+    columns: np.ndarray
+    values: FloatArray
+    points: FloatArray
+    free: np.ndarray
+    partition: Partition
+
+    @property
+    def dim(self) -> int:
+        """Components per node."""
+        return int(self.points.shape[1])
+
+
+class BlockPattern:
+    """Sparsity of the Hessian over nodes and the list of cell blocks that add to each of its blocks.
+
+    Parameters
+    ----------
+    cells : list of (n_cells, n_nodes) int arrays
+        Local nodes of the cells of each group.
+    n_nodes, dim : int
+        Local nodes and components per node.
+
+    Attributes
+    ----------
+    first_slot : list of int
+        First block slot of each group; cell e of group g starts at ``first_slot[g] + e n_pairs``.
+    n_slots : int
+        Number of blocks that the cells write: the upper triangle of each cell's matrix.
+    """
+
+    def __init__(self, cells: Sequence[np.ndarray], n_nodes: int, dim: int) -> None:
+        self.dim = dim
+        self.n_nodes = n_nodes
+        rows: list[IntArray] = []
+        columns: list[IntArray] = []
+        slots: list[IntArray] = []
+        self.first_slot: list[int] = []
+        first = 0
+        for group in cells:
+            a, b = np.triu_indices(group.shape[1])
+            self.first_slot.append(first)
+            number = first + np.arange(group.shape[0] * a.size, dtype=np.int64)
+            upper_row, upper_column = group[:, a].ravel().astype(np.int64), group[:, b].ravel().astype(np.int64)
+            off = np.tile(a != b, group.shape[0])
+            rows += [upper_row, upper_column[off]]
+            columns += [upper_column, upper_row[off]]
+            slots += [2 * number, 2 * number[off] + 1]
+            first += number.size
+        self.n_slots = first
+        # Every node has a diagonal block, also one that no cell of this rank touches.
+        everyone = np.arange(n_nodes, dtype=np.int64)
+        key = np.concatenate([r * n_nodes + c for r, c in zip(rows, columns, strict=True)] + [everyone * (n_nodes + 1)])
+        order = np.argsort(key, kind="stable")
+        entries = np.concatenate([*slots, np.full(n_nodes, -1, dtype=np.int64)])[order]
+        key = key[order]
+        start = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
+        unique = key[start]
+        self.rows: IntArray = unique // n_nodes
+        self.columns = (unique % n_nodes).astype(np.int32)
+        self.row_offsets = _offsets(self.rows, n_nodes)
+        # The placeholders of the diagonal carry nothing to add.
+        block = np.repeat(np.arange(unique.size), np.diff(np.append(start, key.size)))[entries >= 0]
+        self.entries = entries[entries >= 0].astype(np.int32 if first < 2**30 else np.int64)
+        self.offsets = _offsets(block, unique.size)
+        self._expand()
+
+    def _expand(self) -> None:
+        """CSR structure over degrees of freedom: node by node, component by component."""
+        d = self.dim
+        per_node = np.diff(self.row_offsets).astype(np.int64)
+        self.dof_row_offsets = np.concatenate([[0], np.cumsum(np.repeat(per_node * d, d))]).astype(np.int32)
+        expanded = (d * self.columns[:, None] + np.arange(d, dtype=np.int32)).ravel()  # one dof row per node
+        # Each node's row of columns is repeated once per component.
+        lengths = np.repeat(per_node * d, d)
+        starts = np.repeat(self.row_offsets[:-1].astype(np.int64) * d, d)
+        index = np.arange(lengths.sum()) - np.repeat(self.dof_row_offsets[:-1].astype(np.int64), lengths)
+        self.dof_columns = expanded[np.repeat(starts, lengths) + index]
+
+    @property
+    def n_values(self) -> int:
+        """Number of stored scalars of the global Hessian."""
+        return int(self.dof_columns.size)
+
+    def block_scalars(self, matrix: object) -> FloatArray:
+        """Values of a scalar CSR matrix over nodes at the pattern's blocks (n_blocks,), zero where it has none."""
+        import scipy.sparse
+
+        scalar = scipy.sparse.csr_matrix(matrix)
+        scalar.sum_duplicates()
+        key = self.rows * self.n_nodes + self.columns
+        n_row = np.diff(scalar.indptr)
+        entry = np.repeat(np.arange(self.n_nodes, dtype=np.int64), n_row) * self.n_nodes + scalar.indices
+        position = np.searchsorted(key, entry)
+        result = np.zeros(key.size)
+        result[position] = scalar.data
+        return result
+
+
+def _offsets(numbers: np.ndarray, n: int) -> np.ndarray:
+    counts = np.bincount(numbers, minlength=n)
+    total = int(counts.sum())
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32 if total < 2**31 else np.int64)

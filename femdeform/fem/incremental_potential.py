@@ -1,0 +1,307 @@
+"""The function that every solver of the deformable family minimises in a step, and the one residual they share.
+
+Backward Euler: ``Phi(x) = 1/(2 h^2) |x - x_hat|_M^2 + PE(x) - f.x`` with ``x_hat = x_n + h v_n``; quasistatic: ``Phi(x)
+= PE(x) - f.x`` (methods.md, sections 0 and 5). Its gradient over the free degrees of freedom is the residual [N].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from femdeform.contact.penalty import PenaltyContact
+from femdeform.fem import kernels
+from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
+from femdeform.fem.conditions import Conditions
+from femdeform.fem.discretization import Discretization
+from femdeform.fem.energies import CellTerm, ElasticEnergy, FollowerPressure
+from femdeform.parallel import Partition
+from femdeform.types import FloatArray
+
+
+@dataclass
+class State:
+    """What a run carries from step to step, on this rank.
+
+    Attributes
+    ----------
+    x, v : (n_local, dim) float64
+        Positions [m] and velocities [m/s], ghosts included.
+    time : float
+        Time [s].
+    step : int
+        Number of accepted steps.
+    """
+
+    x: FloatArray
+    v: FloatArray
+    time: float = 0.0
+    step: int = 0
+
+    def copy(self) -> State:
+        """Return an independent copy."""
+        return State(self.x.copy(), self.v.copy(), self.time, self.step)
+
+
+class IncrementalPotential:
+    """The step problem of deformable bodies.
+
+    Parameters
+    ----------
+    discretization : Discretization
+    conditions : Conditions
+    quasistatic : bool
+        Leave inertia out.
+    contacts : sequence of PenaltyContact
+        Contact with obstacles.
+
+    Attributes
+    ----------
+    partition : Partition
+        Ownership of nodes; `x` has one row per local node.
+    free : (n_local, dim) bool
+        Degrees of freedom that are solved for.
+    force_scale : float
+        R0, the size of the forces in the step [N]: ``|M (x_n - x_hat)/h^2| + |dPE/dx(x_n)| + |f|``, over all degrees
+        of freedom, reactions included. If all of that is zero (a body at rest whose support is moved), the internal
+        forces of the first iterate.
+    """
+
+    def __init__(
+        self,
+        discretization: Discretization,
+        conditions: Conditions,
+        quasistatic: bool,
+        contacts: Sequence[PenaltyContact] = (),
+        body_force: FloatArray | None = None,
+    ) -> None:
+        self.discretization = discretization
+        self.conditions = conditions
+        self.quasistatic = quasistatic
+        self.contacts = list(contacts)
+        self.partition: Partition = discretization.partition
+        self.free = conditions.free
+        self.dim = discretization.dim
+        self._body_force = body_force
+
+        self.elastic = [ElasticEnergy(group) for group in discretization.groups]
+        self.pressures = [FollowerPressure(load) for load in conditions.pressures]
+        self._terms: list[CellTerm] = [*self.elastic, *self.pressures]
+        n = discretization.n_nodes
+        cells = [term.cells for term in self._terms]
+        self.pattern = BlockPattern(cells, n, self.dim)
+        self._sum = SlotSum(cells, n)
+        self._first_row = np.concatenate([[0], np.cumsum([c.size for c in cells])]).astype(int)
+        self._slots = np.empty((self._sum.n_slots, self.dim))
+        self._blocks: FloatArray | None = None
+        self._values: FloatArray | None = None
+        self._diagonal = np.empty((n, self.dim * self.dim))
+        mass = discretization.consistent_mass
+        self._mass_scalars = np.empty(0) if mass is None or quasistatic else self.pattern.block_scalars(mass)
+
+        self.dt = 1.0
+        self.time = 0.0
+        self.force_scale = 1.0
+        self.load = np.zeros((n, self.dim))
+        self._x_hat = np.zeros((n, self.dim))
+
+    # --------------------------------------------------------------------------------------------- the step
+
+    def begin_step(self, state: State, dt: float) -> None:
+        """Set everything that a step from `state` to ``state.time + dt`` freezes: loads, inertia, friction.
+
+        Parameters
+        ----------
+        state : State
+            Last accepted state; not changed.
+        dt : float
+            Step [s].
+        """
+        self.dt = dt
+        self.time = state.time + dt
+        self.set_loads(self.time)
+        self._x_hat = state.x + dt * state.v
+        for contact in self.contacts:
+            contact.begin_step(state.x, self.time, dt)
+        self._reference = state.x
+        self.linearize_at(state.x)
+        inertia = 0.0 if self.quasistatic else self.partition.norm(self._apply_mass(state.x - self._x_hat)) / dt**2
+        internal = self.partition.norm(self.internal_forces(state.x))
+        self.force_scale = inertia + internal + self.partition.norm(self.load)
+
+    def set_loads(self, time: float) -> None:
+        """Evaluate gravity, dead loads and pressures at a time."""
+        self.conditions.dead_load(time, self.load)
+        mass = self.discretization.row_mass if self.quasistatic else self._load_mass()
+        self.load += mass[:, None] * self.conditions.acceleration(time)
+        if self._body_force is not None:
+            self.load += self._body_force
+        for pressure in self.pressures:
+            pressure.set_time(time)
+
+    def _load_mass(self) -> FloatArray:
+        # Free fall is exact when gravity acts on the same mass as inertia.
+        if self.discretization.consistent_mass is None:
+            return self.discretization.lumped_mass
+        return self._apply_mass(np.ones((self.discretization.n_nodes, 1)))[:, 0]
+
+    def initial_guess(self, state: State) -> FloatArray:
+        """Return the positions from which a solver starts: the last state with the prescribed values of the step."""
+        x = state.x.copy()
+        self.conditions.set_prescribed(self.time, x)
+        return x
+
+    def linearize_at(self, x: FloatArray) -> None:
+        """Tell terms without a potential that a line search will start from `x`."""
+        for pressure in self.pressures:
+            pressure.set_reference(x)
+
+    # ------------------------------------------------------------------------------------------- the function
+
+    def _apply_mass(self, field: FloatArray) -> FloatArray:
+        """M times a node field, ghosts updated."""
+        mass = self.discretization.consistent_mass
+        if mass is None:
+            return self.discretization.lumped_mass[:, None] * field
+        result = np.ascontiguousarray(mass @ field)
+        self.partition.accumulate(result)
+        return result
+
+    def elastic_energy(self, x: FloatArray) -> float:
+        """Elastic energy of all bodies [J]; infinite or NaN where a law is not defined."""
+        return self.partition.sum(sum(term.value(x) for term in self.elastic))
+
+    def value(self, x: FloatArray) -> float:
+        """Phi(x) [J], without the constant that pressure has none of; inf where a law is not defined."""
+        n = self.partition.n_owned
+        local = sum(term.value(x) for term in self._terms) + sum(contact.value(x) for contact in self.contacts)
+        local -= float(np.vdot(self.load[:n], x[:n] - self._reference[:n]))
+        total = self.partition.sum(local)
+        if not self.quasistatic:
+            offset = x - self._x_hat
+            total += 0.5 / self.dt**2 * self.partition.dot(offset, self._apply_mass(offset))
+        return total
+
+    def internal_forces(self, x: FloatArray) -> FloatArray:
+        """Gradient of the elastic energy and of pressure and contact [N], (n_local, dim), no inertia, no dead load."""
+        for k, term in enumerate(self._terms):
+            term.gradient(x, self._slots, self._first_row[k])
+        out = np.empty((self.discretization.n_nodes, self.dim))
+        self._sum(self._slots, out)
+        for contact in self.contacts:
+            contact.add_gradient(x, out)
+        self.partition.accumulate(out)
+        return out
+
+    def full_gradient(self, x: FloatArray) -> FloatArray:
+        """Gradient of Phi at every degree of freedom [N]; minus the reaction where it is prescribed."""
+        out = self.internal_forces(x) - self.load
+        if not self.quasistatic:
+            out += self._apply_mass(x - self._x_hat) / self.dt**2
+        return out
+
+    def gradient(self, x: FloatArray) -> FloatArray:
+        """Residual [N]: the gradient of Phi, zero at prescribed degrees of freedom; (n_local, dim)."""
+        return np.where(self.free, self.full_gradient(x), 0.0)
+
+    def hessian(self, x: FloatArray, project: bool, free: np.ndarray | None = None) -> SparseHessian:
+        """Hessian of Phi, every cell's part clamped to positive semi-definite if `project`.
+
+        Parameters
+        ----------
+        x : (n_local, dim) float64
+        project : bool
+            Clamp, so that the matrix is positive definite wherever inertia or supports leave no free mode.
+        free : (n_local, dim) bool, optional
+            Degrees of freedom whose rows and columns to keep; default: those of the problem.
+
+        Returns
+        -------
+        SparseHessian
+            Its values are a buffer that the next call overwrites.
+        """
+        dim = self.dim
+        if self._blocks is None or self._values is None:
+            self._blocks = np.empty((self.pattern.n_slots, dim * dim))
+            self._values = np.empty(self.pattern.n_values)
+        for term, first in zip(self._terms, self.pattern.first_slot, strict=True):
+            term.hessian(x, project, self._blocks, first)
+        self._diagonal[:] = 0.0
+        if not self.quasistatic and self._mass_scalars.size == 0:
+            self._diagonal[:, :: dim + 1] = (self.discretization.lumped_mass / self.dt**2)[:, None]
+        for contact in self.contacts:
+            contact.add_hessian(x, self._diagonal)
+        mask = self.free if free is None else free
+        kernels.sum_blocks(
+            self._blocks,
+            self.pattern.row_offsets,
+            self.pattern.columns,
+            self.pattern.offsets,
+            self.pattern.entries,
+            self._diagonal,
+            self._mass_scalars / self.dt**2,
+            mask.view(np.uint8),
+            self.partition.n_owned,
+            (0,) * dim,
+            self._values,
+        )
+        return SparseHessian(
+            self.pattern.dof_row_offsets,
+            self.pattern.dof_columns,
+            self._values,
+            self.discretization.points,
+            mask,
+            self.partition,
+        )
+
+    def hessian_times(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Product of the projected Hessian, prescribed degrees of freedom included, with a node field; (n_local, dim)."""
+        import scipy.sparse
+
+        everything = np.ones_like(self.free)
+        K = self.hessian(x, project=True, free=everything)
+        n = self.discretization.n_nodes * self.dim
+        matrix = scipy.sparse.csr_matrix((K.values, K.columns, K.row_offsets), shape=(n, n))
+        product = np.ascontiguousarray((matrix @ step.ravel()).reshape(step.shape))
+        self.partition.accumulate(product)
+        return product
+
+    # --------------------------------------------------------------------------------------------- judgement
+
+    def residual_norm(self, residual: FloatArray) -> float:
+        """Euclidean norm of a residual over the free degrees of freedom [N]: the one measure of all solvers."""
+        return self.partition.norm(residual)
+
+    def roundoff_norm(self, x: FloatArray) -> float:
+        """Residual that rounding alone can leave at `x` [N]: no solver can be asked for less."""
+        n = self.partition.n_owned
+        size = float(np.abs(x[:n]).max(initial=0.0))
+        # |K| |x| eps, with the magnitude of K from the diagonal of the last Hessian.
+        if self._values is None:
+            return 0.0
+        local = float(np.sum((self._row_scale() * size) ** 2))
+        return 4.0 * np.finfo(float).eps * float(np.sqrt(self.partition.sum(local)))
+
+    def _row_scale(self) -> FloatArray:
+        assert self._values is not None
+        starts = self.pattern.dof_row_offsets[:-1].astype(np.int64)
+        return np.asarray(np.maximum.reduceat(np.abs(self._values), starts))[: self.partition.n_owned * self.dim]
+
+    def max_step(self, x: FloatArray, step: FloatArray) -> float:
+        """Largest step length in (0, 1] that a line search may try; laws and contacts here set no bound."""
+        return 1.0
+
+    def accept(self, state: State, x: FloatArray) -> State:
+        """Return the state after a solved step."""
+        v = np.zeros_like(x) if self.quasistatic else (x - state.x) / self.dt
+        return State(x.copy(), v, self.time, state.step + 1)
+
+    def kinetic_energy(self, v: FloatArray) -> float:
+        """Kinetic energy [J]."""
+        return 0.5 * self.partition.dot(v, self._apply_mass(v))
+
+    def load_potential(self, x: FloatArray) -> float:
+        """Minus the work of gravity and dead loads from the reference positions, at their present size [J]."""
+        return -self.partition.dot(self.load, x - self.discretization.points)

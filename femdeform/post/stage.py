@@ -1,0 +1,386 @@
+"""The picture of a result: deformed bodies in colour, their reference shape in outline, obstacles, legend,
+time.
+
+A `Stage` is set up once for all the frames it will show, so that neither the camera nor the colours jump;
+showing a frame then only moves points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from femdeform.errors import InputError
+from femdeform.post.camera import VIEW_ANGLE, place_camera, vertical_axis
+from femdeform.post.fields import Field, select_field, value_range
+from femdeform.post.obstacles import obstacle_shapes, solid_bounds
+from femdeform.post.surface import Part, Surface, extract_surface, vertex_normals
+from femdeform.run.result import Frame, Result
+from femdeform.types import FloatArray
+
+MAX_FACES_WITH_EDGES = 50_000
+
+_COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#ee9944", "#888888")
+_OUTLINE = "#a8a8a8"
+_OBSTACLE = "#8c9aa8"
+_TEXT = "#202020"
+# Parts of the picture the bodies may fill; the rest is for the legend on the right and for title and time.
+_FILL_WIDTH, _FILL_HEIGHT = 0.74, 0.76
+_FILL_CENTER = (0.43, 0.485)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all frames of a picture or movie share.
+
+    Attributes
+    ----------
+    surface : Surface
+        Visible part of the mesh.
+    box : (2, 3) float64
+        Corners of the box around every frame and the reference shape [m].
+    colours : (float, float)
+        Range of the field over every frame.
+    dim : int
+        Dimension of the scene.
+    """
+
+    surface: Surface
+    box: FloatArray
+    colours: tuple[float, float]
+    dim: int
+
+
+def survey(
+    result: Result, frames: Iterable[int], field: str | None, progress: Callable[[], None] | None = None
+) -> Setting:
+    """Go through frames for what they share.
+
+    Parameters
+    ----------
+    result : Result
+        The result.
+    frames : iterable of int
+        Positions in ``result.frames``.
+    field : str, optional
+        Field to colour by, see `select_field`.
+    progress : callable, optional
+        Called after each frame.
+
+    Raises
+    ------
+    InputError
+        If a frame cannot be read, has no such field, or has nothing to show.
+    """
+    surface: Surface | None = None
+    corners: list[FloatArray] = []
+    ranges: list[tuple[float, float]] = []
+    for index in frames:
+        frame = result.read_frame(index)
+        if surface is None:
+            surface = extract_surface(frame.points, frame.blocks)
+            if not len(surface.nodes):
+                raise InputError(f"{result.folder}: there is nothing to show, the frames have no cells")
+            corners.append(_bounds(frame.points[surface.nodes]))
+        corners.append(_bounds(frame.positions[surface.nodes]))
+        ranges.append(value_range(_visible_values(select_field(frame, field, result.folder), surface)))
+        if progress is not None:
+            progress()
+    if surface is None:
+        raise InputError(f"{result.folder}: there are no frames in this result")
+    stacked = np.stack(corners)
+    box = np.stack([np.nanmin(stacked[:, 0], axis=0), np.nanmax(stacked[:, 1], axis=0)])
+    if not np.all(np.isfinite(box)):
+        raise InputError(f"{result.folder}: the displacements of the frames are not finite")
+    lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
+    gravity = _resolved(result).get("gravity")
+    flat = box[1, 2] == box[0, 2] and not (isinstance(gravity, list) and len(gravity) == 3)
+    return Setting(surface, box, (lowest, highest), 2 if flat else 3)
+
+
+class Stage:
+    """A plotter with everything on it that stays, ready to show frames.
+
+    Parameters
+    ----------
+    pyvista : module
+        PyVista, from `load_pyvista`.
+    result : Result
+        The result.
+    setting : Setting
+        From `survey`.
+    field : str, optional
+        Field to colour by.
+    size : (int, int)
+        Width and height [pixels].
+    off_screen : bool
+        Draw into memory, not into a window.
+    """
+
+    def __init__(
+        self,
+        pyvista: Any,
+        result: Result,
+        setting: Setting,
+        field: str | None,
+        *,
+        size: tuple[int, int],
+        off_screen: bool = True,
+    ) -> None:
+        self.pyvista = pyvista
+        self._result = result
+        self._setting = setting
+        self._field = field
+        self._scale = size[1] / 800.0
+        self._meshes: list[tuple[Any, Part, bool]] = []  # mesh, its nodes, whether it carries the colours
+        self._obstacles = [o for o in result.facts.get("obstacles") or [] if isinstance(o, dict)]
+        self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(size), lighting="light kit")
+        self.plotter.set_background("white")
+        self.plotter.enable_anti_aliasing("msaa", multi_samples=8)
+
+    def show(self, index: int) -> Frame:
+        """Show a frame; the first call sets the stage.
+
+        Parameters
+        ----------
+        index : int
+            Position in ``result.frames``.
+
+        Returns
+        -------
+        Frame
+            The frame shown.
+        """
+        frame = self._result.read_frame(index)
+        field = select_field(frame, self._field, self._result.folder)
+        if not self._meshes:
+            self._build(frame, field)
+        for mesh, part, coloured in self._meshes:
+            mesh.points = frame.positions[part.nodes]
+            if coloured:
+                self._colour(mesh, part, field)
+        self._show_obstacles(frame.time)
+        text = f"t = {frame.time:.4g} s"
+        self.plotter.add_text(
+            text, name="time", position=(0.03, 0.035), viewport=True, font_size=self._font(13), color=_TEXT
+        )
+        return frame
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The picture of the frame shown last, (height, width, 3)."""
+        return np.asarray(self.plotter.screenshot(None, return_img=True), dtype=np.uint8)
+
+    def close(self) -> None:
+        """Free the plotter."""
+        self.plotter.close()
+
+    def _build(self, frame: Frame, field: Field) -> None:
+        surface = self._setting.surface
+        faces = self._mesh(frame, surface.faces, with_faces=True)
+        lines = self._mesh(frame, surface.lines, with_faces=False)
+        options = self._colour_options(field)
+        thick = 5.0 * self._scale
+        for mesh, part in ((faces, surface.faces), (lines, surface.lines)):
+            if not len(part.cells):
+                continue
+            self._colour(mesh, part, field)
+            actor = self.plotter.add_mesh(
+                mesh,
+                scalars="field",
+                lighting=self._setting.dim == 3,
+                render_lines_as_tubes=part is surface.lines,
+                line_width=thick,
+                ambient=0.25,
+                diffuse=0.8,
+                specular=0.12,
+                specular_power=20,
+                **options,
+            )
+            if part is surface.faces:
+                # Pushes the faces back a little in depth, so that the element edges on them are not half hidden.
+                actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
+                actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(1.0, 2.0)
+                if self._setting.dim == 3:
+                    actor.prop.interpolation = "Phong"
+            options = {**options, "show_scalar_bar": False}
+        if 0 < surface.n_faces < MAX_FACES_WITH_EDGES:
+            edges = self._mesh(frame, surface.edges, with_faces=False)
+            self.plotter.add_mesh(
+                edges, color="#101820", opacity=0.28, line_width=1.0 * self._scale, lighting=False
+            )
+            self._meshes.append((edges, surface.edges, False))
+        self._add_reference(frame)
+        if field.categorical:
+            self._add_legend(field)
+        for bar in self.plotter.scalar_bars.values():
+            bar.SetVerticalTitleSeparation(round(10 * self._scale))
+        title = self._title()
+        if title:
+            self.plotter.add_text(
+                title, position=(0.03, 0.93), viewport=True, font_size=self._font(16), color=_TEXT
+            )
+        self.plotter.add_axes(viewport=(0.84, 0.0, 1.0, 0.2), line_width=2, color=_TEXT)
+        self._aim()
+
+    def _mesh(self, frame: Frame, part: Part, *, with_faces: bool) -> Any:
+        mesh = self.pyvista.PolyData(frame.positions[part.nodes])
+        if with_faces:
+            mesh = self.pyvista.PolyData.from_regular_faces(frame.positions[part.nodes], part.cells)
+        elif len(part.cells):
+            mesh.verts = np.zeros(0, dtype=np.int64)
+            mesh.lines = np.insert(part.cells, 0, 2, axis=1).ravel()
+        if with_faces or part is self._setting.surface.lines:
+            self._meshes.append((mesh, part, True))
+        return mesh
+
+    def _colour(self, mesh: Any, part: Part, field: Field) -> None:
+        surface = self._setting.surface
+        if not len(part.cells):
+            return
+        if field.on_cells:
+            owners = surface.face_cells if part is surface.faces else surface.line_cells
+            mesh.cell_data["field"] = field.values[owners]
+        else:
+            mesh.point_data["field"] = field.values[part.nodes]
+        if part is surface.faces:
+            mesh.point_data.active_normals = vertex_normals(np.asarray(mesh.points, np.float64), part.cells)
+
+    def _colour_options(self, field: Field) -> dict[str, Any]:
+        low, high = self._setting.colours
+        if field.categorical:
+            n = int(high) + 1
+            return {
+                "cmap": [_COLOURS[i % len(_COLOURS)] for i in range(max(n, 2))],
+                "clim": (-0.5, max(n, 2) - 0.5),
+                "show_scalar_bar": False,
+                "preference": "cell" if field.on_cells else "point",
+            }
+        if not high > low:
+            # A field that is the same everywhere still needs a range to be drawn and labelled.
+            low, high = low - 0.5 * max(abs(low), 1e-12), high + 0.5 * max(abs(high), 1e-12)
+        bar = {
+            "title": field.label,
+            "vertical": True,
+            "position_x": 0.865,
+            "position_y": 0.24,
+            "width": 0.065,
+            "height": 0.58,
+            "n_labels": 6,
+            "fmt": "{:.3g}" if _uses_format(self.pyvista) else "%.3g",
+            "title_font_size": self._points(20),
+            "label_font_size": self._points(18),
+            "color": _TEXT,
+        }
+        return {
+            "cmap": "viridis",
+            "clim": (low, high),
+            "scalar_bar_args": bar,
+            "preference": "cell" if field.on_cells else "point",
+        }
+
+    def _add_reference(self, frame: Frame) -> None:
+        surface, width = self._setting.surface, 1.6 * self._scale
+        for part in (surface.outline, surface.lines):
+            if len(part.cells):
+                mesh = self.pyvista.PolyData(frame.points[part.nodes])
+                mesh.verts = np.zeros(0, dtype=np.int64)
+                mesh.lines = np.insert(part.cells, 0, 2, axis=1).ravel()
+                self.plotter.add_mesh(mesh, color=_OUTLINE, line_width=width, lighting=False)
+        if self._setting.dim == 3 and surface.n_faces:
+            # Round bodies have no sharp edges: what outlines them depends on where one looks from.
+            shape = self.pyvista.PolyData.from_regular_faces(
+                frame.points[surface.faces.nodes], surface.faces.cells
+            )
+            self.plotter.add_silhouette(
+                shape.clean(), color=_OUTLINE, line_width=width
+            )
+
+    def _show_obstacles(self, time: float) -> None:
+        if not self._obstacles:
+            return
+        shapes = obstacle_shapes(self.pyvista, self._obstacles, self._setting.box, self._setting.dim, time)
+        for number, shape in enumerate(shapes):
+            is_line = shape.n_lines > 0
+            self.plotter.add_mesh(
+                shape,
+                name=f"obstacle {number}",
+                color=_OBSTACLE,
+                opacity=1.0 if is_line else 0.3,
+                line_width=3.0 * self._scale,
+                reset_camera=False,
+            )
+
+    def _add_legend(self, field: Field) -> None:
+        names = self._result.facts.get("bodies" if field.label == "body" else "regions")
+        present = np.unique(field.values).astype(int)
+        labels = []
+        for number in present:
+            known = isinstance(names, list) and 0 <= number < len(names)
+            label = str(names[number]) if known else f"{field.label} {number}"
+            labels.append((f" {label}", _COLOURS[number % len(_COLOURS)]))
+        height = min(0.045 * len(labels), 0.6)
+        self.plotter.add_legend(
+            labels, bcolor=None, border=False, size=(0.16, height), loc="center right", face="rectangle"
+        )
+
+    def _aim(self) -> None:
+        box = self._setting.box
+        size = float(np.linalg.norm(box[1] - box[0]))
+        shown = np.stack([box, *solid_bounds(self._obstacles, 3.0 * size)])
+        box = np.stack([shown[:, 0].min(axis=0), shown[:, 1].max(axis=0)])
+        width, height = self.plotter.window_size
+        fill = (_FILL_WIDTH * width) / (_FILL_HEIGHT * height)
+        vertical = vertical_axis(_resolved(self._result))
+        placed = place_camera(box, dim=self._setting.dim, vertical=vertical, aspect=fill)
+        camera = self.plotter.camera
+        camera.focal_point = placed.focal_point
+        camera.up = placed.up
+        camera.view_angle = VIEW_ANGLE
+        if placed.parallel_scale is not None:
+            camera.parallel_projection = True
+            camera.parallel_scale = placed.parallel_scale / _FILL_HEIGHT
+            camera.position = placed.position
+        else:
+            # Stepping back by the fraction to be filled leaves the margins.
+            back = placed.position - placed.focal_point
+            camera.position = placed.focal_point + back / _FILL_HEIGHT
+        camera.SetWindowCenter(1.0 - 2.0 * _FILL_CENTER[0], 1.0 - 2.0 * _FILL_CENTER[1])
+        self.plotter.reset_camera_clipping_range()
+        self.plotter.camera_set = True
+
+    def _title(self) -> str:
+        title = self._result.facts.get("title") or _resolved(self._result).get("title")
+        return " ".join(str(title).split())[:90] if title else ""
+
+    def _font(self, size: int) -> int:
+        return max(round(size * self._scale), 6)
+
+    def _points(self, size: int) -> int:
+        return max(round(size * self._scale), 8)
+
+
+def _visible_values(field: Field, surface: Surface) -> FloatArray:
+    if field.on_cells:
+        return field.values.take(np.concatenate([surface.face_cells, surface.line_cells]))
+    return field.values.take(surface.nodes)
+
+
+def _bounds(points: FloatArray) -> FloatArray:
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def _resolved(result: Result) -> dict[str, Any]:
+    # Only for the title and for which way is up: a picture does not fail for want of them.
+    try:
+        return result.resolved
+    except InputError:
+        return {}
+
+
+def _uses_format(pyvista: Any) -> bool:
+    # VTK 9.6 went over from printf formats to those of std::format.
+    return tuple(pyvista.vtk_version_info) >= (9, 6)

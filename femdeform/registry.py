@@ -1,0 +1,74 @@
+"""What can be plugged in, by its word in a scene, as lazy ``module:attribute`` strings.
+
+femdeform itself never imports the packages above it; whoever needs a solver, a mesh or a benchmark asks here,
+and only then is its module, with the heavy libraries behind it, imported.
+"""
+
+from __future__ import annotations
+
+import importlib
+from functools import lru_cache
+from typing import Any
+
+from femdeform.errors import MissingDependencyError
+
+SOLVERS: dict[str, str] = {
+    "projected_newton": "solvers.projected_newton:ProjectedNewton",
+}
+
+LINEAR_SOLVERS: dict[str, str] = {
+    "ksp": "solvers.linear.ksp:KSP",
+    "scipy_direct": "solvers.linear.scipy_direct:SciPyDirect",
+}
+
+MESH: dict[str, str] = {
+    "build": "meshes.build:build_mesh",
+    "check": "meshes.quality:check_mesh",
+    "command": "meshes.info:mesh_command",
+}
+
+PARTITIONER = "solvers.linear.partition:partition_cells"
+
+BENCHMARKS: dict[str, str] = {
+    "run": "verification.benchmarks.run:run_benchmarks",
+}
+
+_PRESET_PACKAGE = "solvers"
+_OWN_PACKAGES = frozenset({"femdeform", "solvers", "meshes", "verification"})
+_EXTRAS = {"petsc4py": "petsc", "mpi4py": "petsc", "torch": "learned"}
+
+
+def resolve(spec: str) -> Any:
+    """Import what a ``module:attribute`` string names.
+
+    Raises
+    ------
+    MissingDependencyError
+        If a library that the module needs is not installed or cannot be loaded.
+    """
+    module_name, _, attribute = spec.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing in _OWN_PACKAGES:
+            raise
+        if isinstance(error, ModuleNotFoundError) and missing:
+            message = f"{attribute} needs {missing}, which is not installed"
+            if missing in _EXTRAS:
+                message += f"; install it with: pip install 'femdeform[{_EXTRAS[missing]}]'"
+            raise MissingDependencyError(message) from error
+        raise MissingDependencyError(f"{attribute} cannot be used here: {error}") from error
+    return getattr(module, attribute)
+
+
+@lru_cache(maxsize=1)
+def preset_names() -> tuple[str, ...]:
+    """Names that ``linear_solver.preset`` can take, sorted: the files of `solvers/presets`."""
+    from importlib.resources import files
+
+    folder = files(_PRESET_PACKAGE) / "presets"
+    if not folder.is_dir():
+        return ()
+    names = [item.name for item in folder.iterdir()]
+    return tuple(sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml")))

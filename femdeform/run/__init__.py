@@ -1,0 +1,1 @@
+"""Running a scene: wiring, time loop, results on disk."""

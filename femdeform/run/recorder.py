@@ -1,0 +1,366 @@
+"""Writes the result folder of a run, so that every moment of it can be read, resumed and drawn.
+
+The folder holds ``resolved.yaml``, ``result.json``, ``history.csv``, ``iterations.csv`` (traced runs only),
+``frames/frame_00000.vtu`` and on, ``frames.pvd`` and ``final.vtu``. Tables grow by whole rows that are
+flushed at once; every other file is replaced atomically. A run killed at any moment leaves a folder that
+can be read, and a resumed one leaves the files that an unbroken run would have left (but for wall times).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Mapping
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from femdeform.errors import Fault, InputError
+from femdeform.run import atomic
+from femdeform.run.table import Table, Value, last_step, time_of_step, truncate_table
+from femdeform.run.vtu import CellData, FrameMesh, VTUWriter, read_pvd, read_vtu, write_pvd
+
+__all__ = ["HISTORY_COLUMNS", "ITERATION_COLUMNS", "FrameMesh", "Recorder", "to_json"]
+
+HISTORY_COLUMNS = (
+    "step",
+    "time",
+    "dt",
+    "iterations",
+    "linear_iterations",
+    "residual_norm",
+    "relative_residual",
+    "kinetic_energy",
+    "elastic_energy",
+    "potential_energy",
+    "seconds",
+)
+ITERATION_COLUMNS = (
+    "step",
+    "iteration",
+    "residual_norm",
+    "relative_residual",
+    "objective",
+    "step_length",
+    "linear_iterations",
+    "seconds",
+)
+
+# Everything a run, or what is drawn from it, leaves in its folder: the files that an overwriting run removes.
+_OWN_FILES = (
+    "resolved.yaml",
+    "result.json",
+    "history.csv",
+    "iterations.csv",
+    "frames.pvd",
+    "final.vtu",
+    "checkpoint.h5",
+    "report.html",
+    "view.png",
+)
+# Any of these says that the folder belongs to a run.
+_MARKS = ("result.json", "history.csv", "iterations.csv", "frames.pvd", "final.vtu", "checkpoint.h5")
+_OWN_FOLDERS = {"frames": "frame_*.vtu", "plots": "*.png"}
+
+
+class Recorder:
+    """Writes one result folder.
+
+    Per step, call `step`, then `frame` where one is due, then `sync` and only then write the checkpoint:
+    whatever a checkpoint stands for is then already in the folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Result folder; created where it is missing.
+    mesh : FrameMesh
+        Mesh of the frames.
+    resume_from_step : int, optional
+        Step of the checkpoint the run goes on from; rows and frames after it are dropped.
+    trace : bool
+        Write ``iterations.csv``; without it `iteration` does nothing.
+    overwrite : bool
+        Remove a result that lies in the folder, instead of refusing to start. Other files stay.
+
+    Raises
+    ------
+    InputError
+        If a fresh run would land on another result, or a resumed one finds no result to go on from.
+    OutputError
+        If the folder cannot be written to.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        mesh: FrameMesh,
+        *,
+        resume_from_step: int | None = None,
+        trace: bool = False,
+        overwrite: bool = False,
+    ) -> None:
+        self.folder = folder
+        self._writer = VTUWriter(mesh)
+        self._facts: dict[str, Any] = {}
+        self._last_step = 0 if resume_from_step is None else resume_from_step
+        self._last_time = 0.0
+        self._frames: dict[str, float] = {}
+        atomic.make_folder(folder)
+        if resume_from_step is None:
+            _make_room(folder, overwrite)
+        atomic.make_folder(folder / "frames")
+        if resume_from_step is not None:
+            self._return_to(resume_from_step)
+        self._history = Table(folder / "history.csv", HISTORY_COLUMNS)
+        self._iterations = Table(folder / "iterations.csv", ITERATION_COLUMNS) if trace else None
+
+    def start(self, resolved: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
+        """Write ``resolved.yaml``, and ``result.json`` with the status ``running``.
+
+        Parameters
+        ----------
+        resolved : mapping
+            The scene with every default and override in place; it can be run again.
+        facts : mapping
+            What is known before the first step: number of dofs, ranks, versions, scene hash, title.
+
+        Raises
+        ------
+        OutputError
+            If a file cannot be written.
+        """
+        self._facts = dict(facts)
+        atomic.write_text(self.folder / "resolved.yaml", _to_yaml(resolved))
+        self._write_result("running", "")
+
+    def step(self, row: Mapping[str, Value]) -> None:
+        """Add a row to ``history.csv``.
+
+        Parameters
+        ----------
+        row : mapping
+            Values by column. The first row fixes the columns: `HISTORY_COLUMNS` and whatever else it holds. A
+            later row may leave columns out (an empty cell), not add any.
+
+        Raises
+        ------
+        OutputError
+            If the row cannot be written.
+        ValueError
+            If the row has no `step`, or a column the first row did not have.
+        """
+        self._history.append(row)
+        self._last_step = int(row["step"])
+        self._last_time = float(row.get("time", self._last_time))
+
+    def iteration(self, row: Mapping[str, Value]) -> None:
+        """Add a row to ``iterations.csv`` of a traced run; as `step`, with `ITERATION_COLUMNS`."""
+        if self._iterations is not None:
+            self._iterations.append(row)
+
+    def frame(
+        self,
+        index: int,
+        time: float,
+        point_data: Mapping[str, NDArray[Any]],
+        cell_data: CellData | None = None,
+    ) -> Path:
+        """Write a frame and add it to ``frames.pvd``.
+
+        Parameters
+        ----------
+        index : int
+            Number in the file name; a frame of the same number is replaced.
+        time : float
+            Time of the frame [s].
+        point_data : dict of str to (n_points,) or (n_points, k) arrays
+            `displacement` [m] is required; 2D vectors are padded with a zero.
+        cell_data : dict of str to list of arrays, optional
+            An array per block of the mesh.
+
+        Returns
+        -------
+        Path
+            The file written.
+
+        Raises
+        ------
+        OutputError
+            If a file cannot be written.
+        ValueError
+            If `displacement` is missing or an array does not fit the mesh.
+        """
+        file = f"frames/frame_{index:05d}.vtu"
+        self._write_mesh(self.folder / file, time, point_data, cell_data)
+        self._frames[file] = float(time)
+        self._write_pvd()
+        return self.folder / file
+
+    def sync(self) -> None:
+        """Flush the tables to the disk itself: a power cut then leaves the rows before a checkpoint."""
+        self._history.sync()
+        if self._iterations is not None:
+            self._iterations.sync()
+
+    def finish(
+        self,
+        status: str,
+        reason: str,
+        facts: Mapping[str, Any],
+        final_point_data: Mapping[str, NDArray[Any]],
+        final_cell_data: CellData | None = None,
+    ) -> None:
+        """Write ``final.vtu`` and the final ``result.json``, and close the tables.
+
+        Parameters
+        ----------
+        status : str
+            One word: ``done``, ``not_converged``, ``failed``, ...
+        reason : str
+            Why the run ended, one line; empty when it simply reached its end.
+        facts : mapping
+            Added to, or over, the facts given to `start`: wall seconds, verdicts of `expect`.
+        final_point_data, final_cell_data
+            The last accepted state, as in `frame`.
+
+        Raises
+        ------
+        OutputError
+            If a file cannot be written.
+        """
+        self._write_mesh(self.folder / "final.vtu", self._last_time, final_point_data, final_cell_data)
+        self._facts.update(facts)
+        self.sync()
+        self._write_result(status, reason)
+        self.close()
+
+    def close(self) -> None:
+        """Close the tables; for a run that ends without `finish`. May be called twice."""
+        self._history.close()
+        if self._iterations is not None:
+            self._iterations.close()
+
+    def _write_mesh(
+        self, path: Path, time: float, point_data: Mapping[str, NDArray[Any]], cell_data: CellData | None
+    ) -> None:
+        if "displacement" not in point_data:
+            raise ValueError("a frame needs the point data `displacement`")
+        self._writer.write(path, float(time), point_data, cell_data or {})
+
+    def _write_pvd(self) -> None:
+        entries = sorted((time, file) for file, time in self._frames.items())
+        write_pvd(self.folder / "frames.pvd", entries)
+
+    def _write_result(self, status: str, reason: str) -> None:
+        head = {"status": status, "reason": reason, "steps": self._last_step}
+        facts = {**head, **self._facts, "status": status, "reason": reason}
+        atomic.write_text(self.folder / "result.json", to_json(facts))
+
+    def _return_to(self, step: int) -> None:
+        """Drop what was recorded after a checkpoint."""
+        history = self.folder / "history.csv"
+        if not (self.folder / "result.json").exists():
+            raise InputError([Fault(str(self.folder), 0, "", "no result to resume: result.json is missing")])
+        for folder in (self.folder, self.folder / "frames"):
+            atomic.remove_leftovers(folder)
+        recorded = last_step(history)
+        if recorded < step:
+            message = f"ends at step {recorded}, the checkpoint is of step {step}: run again without --resume"
+            raise InputError([Fault(str(history), 0, "", message)])
+        truncate_table(history, step)
+        truncate_table(self.folder / "iterations.csv", step)
+        time = time_of_step(history, step)
+        # The frames carry no step, their times do: later steps have later times. A run resumed from its
+        # initial state has no row to take the time from, and keeps the first frame only.
+        entries = sorted(self._listed_frames())
+        if time is None:
+            entries = entries[:1]
+        else:
+            self._last_time = time
+            entries = [entry for entry in entries if entry[0] <= time + 1e-12 * abs(time)]
+        self._frames = {file: moment for moment, file in entries if (self.folder / file).exists()}
+        with atomic.writing(self.folder / "frames"):
+            for path in (self.folder / "frames").glob("frame_*.vtu"):
+                if f"frames/{path.name}" not in self._frames:
+                    path.unlink()
+            (self.folder / "final.vtu").unlink(missing_ok=True)
+        if self._frames or (self.folder / "frames.pvd").exists():
+            self._write_pvd()
+
+    def _listed_frames(self) -> list[tuple[float, str]]:
+        if (self.folder / "frames.pvd").exists():
+            return read_pvd(self.folder / "frames.pvd")
+        # The list is lost, the frames are not: each knows its time.
+        files = [f"frames/{path.name}" for path in (self.folder / "frames").glob("frame_*.vtu")]
+        return [(read_vtu(self.folder / file).time, file) for file in files]
+
+
+def to_json(facts: Mapping[str, Any]) -> str:
+    """Strict JSON of facts that may hold numpy values, paths and tuples; NaN and infinity become null."""
+    return json.dumps(_plain(facts, finite=True), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _make_room(folder: Path, overwrite: bool) -> None:
+    result = folder / "result.json"
+    if not overwrite and any((folder / name).exists() for name in _MARKS):
+        try:
+            unfinished = json.loads(result.read_text(encoding="utf-8"))["status"] == "running"
+        except (OSError, ValueError, KeyError, TypeError):
+            unfinished = False
+        kind = "an unfinished result" if unfinished else "a result"
+        message = f"holds {kind} already: give --resume to go on with it, or another folder with --out"
+        raise InputError([Fault(str(folder), 0, "", message)])
+    atomic.remove_leftovers(folder)
+    if not overwrite:
+        return
+    with atomic.writing(folder):
+        for name in _OWN_FILES:
+            (folder / name).unlink(missing_ok=True)
+        for name, pattern in _OWN_FOLDERS.items():
+            for path in (folder / name).glob(pattern):
+                path.unlink()
+            atomic.remove_leftovers(folder / name)
+            if (folder / name).is_dir() and not any((folder / name).iterdir()):
+                shutil.rmtree(folder / name)
+
+
+def _plain(value: Any, *, finite: bool) -> Any:
+    """Plain dicts, lists and numbers, as JSON and YAML writers want them."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, finite=finite) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(item, finite=finite) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist(), finite=finite)
+    if isinstance(value, float) and finite and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value)
+
+
+def _to_yaml(resolved: Mapping[str, Any]) -> str:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.comments import CommentedSeq
+
+    def arranged(value: Any) -> Any:
+        # Vectors on one line, as people write them; everything else one key a line.
+        if isinstance(value, dict):
+            return {key: arranged(item) for key, item in value.items()}
+        if isinstance(value, list):
+            sequence = CommentedSeq([arranged(item) for item in value])
+            if not any(isinstance(item, dict | list) for item in value):
+                sequence.fa.set_flow_style()
+            return sequence
+        return value
+
+    yaml = YAML()
+    yaml.width = 110
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    stream = StringIO()
+    yaml.dump(arranged(_plain(resolved, finite=False)), stream)
+    return stream.getvalue()

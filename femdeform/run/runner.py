@@ -1,0 +1,360 @@
+"""`femdeform run`: one scene from file to result folder; the only place that puts all parts together."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from femdeform import parallel
+from femdeform.errors import FemdeformError, InputError
+from femdeform.fem.incremental_potential import State
+from femdeform.jit import CompilationAnnouncer, set_threads
+from femdeform.run.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from femdeform.run.expectations import check_expectations
+from femdeform.run.output import FrameSource
+from femdeform.run.progress import Progress
+from femdeform.run.recorder import Recorder
+from femdeform.run.setup import Simulation, build_simulation
+from femdeform.run.time_loop import LoopOutcome, StepControl, default_min_dt, run_time_loop
+from femdeform.scene.checks import check_scene
+from femdeform.scene.load import LoadedScene, load_scene
+from femdeform.scene.meshing import load_meshes
+from femdeform.step_problem import IterationObserver, StepResult
+from femdeform.types import Mesh
+
+_INTERRUPTED = 130
+
+
+def run_scene(
+    path: Path,
+    *,
+    out: Path | None = None,
+    overrides: Sequence[str] = (),
+    resume: bool = False,
+    trace: bool = False,
+    threads: int | None = None,
+    quiet: bool = False,
+) -> int:
+    """Run a scene and leave a result folder.
+
+    Parameters
+    ----------
+    path : Path
+        Scene file.
+    out : Path, optional
+        Result folder; default ``results/<scene name>`` in the current folder.
+    overrides : sequence of str
+        ``key=value`` as given to ``--set``.
+    resume : bool
+        Go on from the folder's checkpoint.
+    trace : bool
+        Write ``iterations.csv``.
+    threads : int, optional
+        Threads of the compiled kernels; default: cores divided by ranks.
+    quiet : bool
+        No progress, no notices.
+
+    Returns
+    -------
+    int
+        0 done, 1 an expectation failed, 3 not converged, 130 interrupted.
+
+    Raises
+    ------
+    FemdeformError
+        On bad input or a missing dependency; on several ranks the same error on each, except for one that only some
+        ranks meet: that one is printed and ends all ranks.
+    """
+    comm = parallel.world()
+    loaded, meshes = _load_together(path, overrides, comm)
+    if comm is None:
+        return _Run(loaded, meshes, out, resume, trace, threads, quiet, None).execute()
+    try:
+        return _Run(loaded, meshes, out, resume, trace, threads, quiet, comm).execute()
+    except BaseException as error:  # any error on one rank would leave the others waiting for ever
+        code = error.exit_code if isinstance(error, FemdeformError) else 1
+        if isinstance(error, FemdeformError):
+            print(f"femdeform: rank {comm.Get_rank()}: {error}", file=sys.stderr, flush=True)
+        else:
+            traceback.print_exc()
+        comm.Abort(code)
+        raise
+
+
+def _load_together(
+    path: Path, overrides: Sequence[str], comm: Any | None
+) -> tuple[LoadedScene, dict[str, Mesh]]:
+    """Rank 0 reads, checks and meshes; all ranks get the same answer, or the same error."""
+    answer: tuple[LoadedScene, dict[str, Mesh]] | FemdeformError | None = None
+    if comm is None or comm.Get_rank() == 0:
+        try:
+            loaded = load_scene(path, overrides)
+            meshes = load_meshes(loaded)
+            faults = check_scene(loaded, meshes)
+            if faults:
+                raise InputError(faults)
+            answer = (loaded, meshes)
+        except FemdeformError as error:
+            answer = error
+    if comm is not None:
+        answer = comm.bcast(answer, root=0)
+    if isinstance(answer, FemdeformError):
+        raise answer
+    assert answer is not None
+    return answer
+
+
+class _Run:
+    """One run of one scene on this rank."""
+
+    def __init__(
+        self,
+        loaded: LoadedScene,
+        meshes: dict[str, Mesh],
+        out: Path | None,
+        resume: bool,
+        trace: bool,
+        threads: int | None,
+        quiet: bool,
+        comm: Any | None,
+    ) -> None:
+        self.loaded = loaded
+        self.scene = loaded.scene
+        self.comm = comm
+        self.is_first = comm is None or comm.Get_rank() == 0
+        self.folder = out if out is not None else Path("results") / loaded.path.stem
+        self.trace = trace
+        self.quiet = quiet
+        self.begin = time.perf_counter()
+        self.threads = set_threads(threads)
+        self.progress = Progress(self.scene.time.end, self.is_first and not quiet)
+        self.simulation: Simulation = build_simulation(self.scene, meshes, comm)
+        self.frames = FrameSource(self.simulation)
+        self.n_frames = 0
+        self.n_failures = 0
+        scene_time = self.scene.time
+        on_failure = self.scene.on_failure
+        self.control = StepControl(
+            dt=scene_time.dt,
+            end=scene_time.end,
+            min_dt=default_min_dt(scene_time.dt, on_failure.min_dt),
+            halve=on_failure.action == "halve_dt",
+        )
+        checkpoint = self._read_checkpoint() if resume else None
+        self.earlier_seconds = 0.0 if checkpoint is None else checkpoint.seconds
+        self.state = self.simulation.state if checkpoint is None else self._restore(checkpoint)
+        self.resumed = checkpoint is not None
+        self.last_saved = self.state.step if self.resumed else -1
+        self.recorder: Recorder | None = None
+        if self.is_first:
+            step = self.state.step if self.resumed else None
+            self.recorder = Recorder(self.folder, self.frames.mesh, resume_from_step=step, trace=trace)
+
+    # ---------------------------------------------------------------------------------------------- running
+
+    def execute(self) -> int:
+        """Run to the end, write the outcome, return the exit code."""
+        for text in self.simulation.notices:
+            self.progress.notice(f"note: {text}")
+        if self.recorder is not None:
+            self.recorder.start(self._resolved(), self._facts())
+        if not self.resumed:
+            self._write_frame(self.state)
+            self._save(self.state)
+        self.step_begin = time.perf_counter()
+        old = signal.signal(signal.SIGTERM, _interrupt)
+        try:
+            with CompilationAnnouncer(self.progress.notice), self.progress:
+                outcome = run_time_loop(
+                    self.simulation.problem,
+                    self.simulation.solver,
+                    self.control,
+                    self.state,
+                    on_accept=self._on_accept,
+                    on_failure=self._on_failure,
+                    observe=self._observer,
+                )
+        except KeyboardInterrupt:
+            return self._interrupted()
+        finally:
+            signal.signal(signal.SIGTERM, old)
+        return self._finish(outcome)
+
+    def _on_accept(self, state: State, result: StepResult, dt: float) -> None:
+        problem = self.simulation.problem
+        self.state = state
+        now = time.perf_counter()
+        row = {
+            "step": state.step,
+            "time": state.time,
+            "dt": dt,
+            "iterations": result.iterations,
+            "linear_iterations": result.linear_iterations,
+            "residual_norm": result.residual_norm,
+            "relative_residual": result.relative_residual,
+            "kinetic_energy": problem.kinetic_energy(state.v),
+            "elastic_energy": problem.elastic_energy(state.x),
+            "potential_energy": problem.load_potential(state.x),
+            "seconds": now - self.step_begin,
+            "force_scale": problem.force_scale,
+            "failed_attempts": self.n_failures,
+        }
+        self.n_failures = 0
+        if self.recorder is not None:
+            self.recorder.step(row)
+        if state.step % self.scene.output.every == 0 or self.control.is_done(state.time):
+            self._write_frame(state)
+        if state.step % self.scene.output.checkpoint_every == 0:
+            self._save(state)
+        self.progress.advance(state.step, state.time, result.relative_residual, result.iterations)
+        self.step_begin = time.perf_counter()
+
+    def _on_failure(self, state: State, result: StepResult, dt: float, retry: bool) -> None:
+        self.n_failures += 1
+        if retry:
+            self.progress.notice(
+                f"step {state.step + 1} with dt = {dt:.3g} s: {result.reason}; trying dt = {self.control.current:.3g} s"
+            )
+
+    def _observer(self, step: int) -> IterationObserver | None:
+        if not self.trace or self.recorder is None:
+            return None
+        recorder = self.recorder
+
+        def observe(row: Mapping[str, float | int | str]) -> None:
+            recorder.iteration({"step": step, **row})
+
+        return observe
+
+    # ---------------------------------------------------------------------------------------------- output
+
+    def _write_frame(self, state: State) -> None:
+        points = self.frames.point_data(state)
+        cells = self.frames.cell_data(state)
+        if self.recorder is not None and points is not None:
+            self.recorder.frame(self.n_frames, state.time, points, cells)
+        self.n_frames += 1
+
+    def _save(self, state: State) -> None:
+        """Write a checkpoint, and forget what the linear solver remembers: a resumed run starts without it too."""
+        partition = self.simulation.discretization.partition
+        x, v = partition.gather(state.x), partition.gather(state.v)
+        if self.recorder is not None and x is not None and v is not None:
+            self.recorder.sync()
+            write_checkpoint(
+                self.folder,
+                Checkpoint(
+                    x, v, state.time, state.step, self.control.current, self.n_frames, self._seconds(), self.loaded.hash
+                ),
+            )
+        self.simulation.linear_solver.reset()
+        self.last_saved = state.step
+
+    def _read_checkpoint(self) -> Checkpoint:
+        checkpoint = read_checkpoint(self.folder)
+        if checkpoint.scene_hash != self.loaded.hash:
+            raise InputError(
+                f"{self.folder}: the checkpoint belongs to another version of this scene; run without --resume"
+            )
+        return checkpoint
+
+    def _restore(self, checkpoint: Checkpoint) -> State:
+        partition = self.simulation.discretization.partition
+        if checkpoint.x.shape != (partition.n_global, self.simulation.discretization.dim):
+            raise InputError(f"{self.folder}: the checkpoint is of another mesh; run without --resume")
+        self.control.current = checkpoint.current_dt
+        self.n_frames = checkpoint.frames
+        return State(
+            partition.restrict(checkpoint.x), partition.restrict(checkpoint.v), checkpoint.time, checkpoint.step
+        )
+
+    def _seconds(self) -> float:
+        return self.earlier_seconds + time.perf_counter() - self.begin
+
+    def _finish(self, outcome: LoopOutcome) -> int:
+        verdicts = check_expectations(self.simulation, outcome.state) if outcome.finished else []
+        failed = [v for v in verdicts if not v["passed"]]
+        if self.last_saved != outcome.state.step:
+            self._save(outcome.state)
+        if not outcome.finished:
+            status, reason, code = "not_converged", outcome.reason, 3
+        elif failed:
+            status, code = "expectation_failed", 1
+            reason = "; ".join(f"{v['quantity']} is {v['computed']:.6g}, expected {v['expected']:.6g}" for v in failed)
+        else:
+            status, reason, code = "done", "", 0
+        self._record_end(outcome.state, status, reason, verdicts)
+        self._say_outcome(status, reason, outcome.state, verdicts)
+        self.simulation.linear_solver.destroy()
+        return code
+
+    def _interrupted(self) -> int:
+        # Gathering needs every rank; ranks may be interrupted in different steps, so only a serial run saves.
+        if self.comm is None:
+            if self.last_saved != self.state.step:
+                self._save(self.state)
+            self._record_end(self.state, "interrupted", "interrupted by the user", [])
+            self._say_outcome("interrupted", f"go on with --resume from step {self.state.step}", self.state, [])
+        elif self.recorder is not None:
+            self.recorder.close()
+            print(f"interrupted; go on with --resume from step {self.last_saved}", file=sys.stderr)
+        return _INTERRUPTED
+
+    def _record_end(self, state: State, status: str, reason: str, verdicts: list[dict[str, Any]]) -> None:
+        points = self.frames.point_data(state)
+        cells = self.frames.cell_data(state)
+        if self.recorder is not None and points is not None:
+            facts = {"wall_seconds": self._seconds(), "expect": verdicts, "steps": state.step, "time": state.time}
+            self.recorder.finish(status, reason, facts, points, cells)
+
+    def _say_outcome(self, status: str, reason: str, state: State, verdicts: list[dict[str, Any]]) -> None:
+        if not self.is_first:
+            return
+        for v in verdicts:
+            mark = "ok" if v["passed"] else "FAILED"
+            print(f"expect {v['quantity']}: {v['computed']:.6g} (expected {v['expected']:.6g}): {mark}")
+        text = f"{status}: {state.step} steps to t = {state.time:.6g} s in {self._seconds():.1f} s; {self.folder}"
+        stream = sys.stdout if status == "done" else sys.stderr
+        if not (self.quiet and status == "done"):
+            print(f"{text}\n{reason}" if reason else text, file=stream, flush=True)
+
+    def _resolved(self) -> dict[str, Any]:
+        resolved: dict[str, Any] = self.scene.model_dump(mode="json", exclude_none=True)
+        for body in resolved["bodies"].values():
+            if "file" in body["mesh"]:
+                body["mesh"]["file"] = str((self.loaded.base_dir / body["mesh"]["file"]).resolve())
+        return resolved
+
+    def _facts(self) -> dict[str, Any]:
+        from femdeform.info import versions
+
+        discretization = self.simulation.discretization
+        tolerance = self.scene.solver.tolerance
+        return {
+            "title": self.scene.title,
+            "simulation": self.scene.simulation,
+            "method": self.scene.solver.method,
+            "linear_solver": self.simulation.linear_solver.name,
+            "residual_tolerance": f"{tolerance:g} of the forces of each step (column force_scale, N)",
+            "n_dofs": discretization.n_dofs,
+            "n_cells": sum(mesh.n_cells for mesh in self.simulation.meshes.values()),
+            "ranks": 1 if self.comm is None else self.comm.Get_size(),
+            "threads": self.threads,
+            "versions": versions(),
+            "scene_hash": self.loaded.hash,
+            "scene_file": self.loaded.path.name,
+            "bodies": list(self.scene.bodies),
+            "obstacles": [obstacle.model_dump(mode="json") for obstacle in self.scene.obstacles],
+        }
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+

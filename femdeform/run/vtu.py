@@ -1,0 +1,383 @@
+"""Unstructured-grid files (.vtu) and their time series (.pvd), written and read without VTK.
+
+A frame repeats the mesh, which never changes: its points and cells are compressed once, and a frame then
+costs the compression of its own fields only. Arrays are stored inline as zlib blocks in base64, so that a
+file is well-formed XML, needs no byte offsets, and is read by ParaView, VTK and meshio alike. Numbers keep
+all their digits.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from femdeform.errors import Fault, InputError
+from femdeform.run import atomic
+from femdeform.types import FloatArray, IntArray
+
+# VTK's number and node count of each cell; quadratic cells have the mid nodes of edges 01, 12, 20, then 03,
+# 13, 23.
+VTK_CELLS: dict[str, tuple[int, int]] = {
+    "line": (3, 2),
+    "triangle": (5, 3),
+    "tetra": (10, 4),
+    "triangle6": (22, 6),
+    "tetra10": (24, 10),
+}
+_NAMES = {number: name for name, (number, _) in VTK_CELLS.items()}
+
+_TYPE_NAMES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
+_DTYPES = {name: np.dtype("<" + code) for code, name in _TYPE_NAMES.items()}
+_HEADER = np.dtype("<u8")
+
+_BLOCK = 1 << 20  # bytes a zlib block holds before compression
+_LEVEL = 1  # higher levels cost several times as long and save a few percent on floating-point data
+
+CellData = Mapping[str, Sequence[NDArray[Any]]]
+
+
+@dataclass(frozen=True)
+class FrameMesh:
+    """The mesh of all frames of a run: every body, in the reference state.
+
+    Attributes
+    ----------
+    points : (n_points, dim) float64
+        REFERENCE positions [m]. A frame stores these beside `displacement` (ParaView's "Warp By Vector"
+        shows the deformed shape), so that strains and groups can still be found from any frame.
+    blocks : list of (name, (n_cells, k) int64)
+        Cells by type: ``line``, ``triangle``, ``tetra``, ``triangle6`` or ``tetra10``, in VTK's order of
+        nodes.
+    cell_data : dict of str to list of arrays
+        What does not change over time, an array per block: ``body``, ``region``.
+
+    Raises
+    ------
+    ValueError
+        If a block is of an unknown type or shape, refers to points that are not there, or cell data do not
+        fit.
+    """
+
+    points: FloatArray
+    blocks: list[tuple[str, IntArray]]
+    cell_data: CellData
+
+    def __post_init__(self) -> None:
+        if self.points.ndim != 2 or self.points.shape[1] not in (2, 3):
+            raise ValueError(f"points of shape {self.points.shape} are not positions in 2D or 3D")
+        for name, cells in self.blocks:
+            if name not in VTK_CELLS:
+                raise ValueError(f"unknown cell type {name!r}; known: {', '.join(VTK_CELLS)}")
+            if cells.ndim != 2 or cells.shape[1] != VTK_CELLS[name][1]:
+                raise ValueError(f"cells of shape {cells.shape} are not {name} cells")
+            if cells.size and (cells.min() < 0 or cells.max() >= len(self.points)):
+                raise ValueError(f"a {name} cell refers to a point that is not there")
+        for name, arrays in self.cell_data.items():
+            join_cell_data(self, name, arrays)
+
+    @property
+    def n_points(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    @property
+    def n_cells(self) -> int:
+        """Number of cells of all blocks."""
+        return sum(len(cells) for _, cells in self.blocks)
+
+
+def join_cell_data(mesh: FrameMesh, name: str, arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """One array over all cells, in the order of the blocks, from an array per block.
+
+    Parameters
+    ----------
+    mesh : FrameMesh
+        Mesh the data belong to.
+    name : str
+        Name of the data, for the error.
+    arrays : sequence of (n_cells, ...) arrays
+        One per block.
+
+    Raises
+    ------
+    ValueError
+        If the number of blocks, or of cells in one of them, differs from the mesh.
+    """
+    lengths = [len(cells) for _, cells in mesh.blocks]
+    given = [len(array) for array in arrays]
+    if given != lengths:
+        raise ValueError(f"cell data {name!r} of lengths {given}, blocks of {lengths} cells")
+    return np.concatenate([np.asarray(array) for array in arrays]) if arrays else np.zeros(0)
+
+
+class VTUWriter:
+    """Writes frames of one mesh, whose own part of the file is made once.
+
+    Parameters
+    ----------
+    mesh : FrameMesh
+        Mesh of all frames.
+    """
+
+    def __init__(self, mesh: FrameMesh) -> None:
+        self.mesh = mesh
+        sizes = [np.full(len(cells), cells.shape[1], dtype=np.int64) for _, cells in mesh.blocks]
+        types = [np.full(len(cells), VTK_CELLS[name][0], dtype=np.uint8) for name, cells in mesh.blocks]
+        connectivity = [np.asarray(cells, dtype=np.int64).ravel() for _, cells in mesh.blocks]
+        geometry = [
+            "<Points>\n",
+            _data_array("Points", as_vtk_columns(mesh.points)),
+            "</Points>\n<Cells>\n",
+            _data_array("connectivity", _concatenate(connectivity, np.int64)),
+            _data_array("offsets", np.cumsum(_concatenate(sizes, np.int64), dtype=np.int64)),
+            _data_array("types", _concatenate(types, np.uint8)),
+            "</Cells>\n",
+        ]
+        self._geometry = "".join(geometry)
+        self._cell_arrays = {
+            name: _data_array(name, as_vtk_columns(join_cell_data(mesh, name, arrays)))
+            for name, arrays in mesh.cell_data.items()
+        }
+
+    def write(
+        self, path: Path, time: float, point_data: Mapping[str, NDArray[Any]], cell_data: CellData
+    ) -> None:
+        """Write one frame atomically.
+
+        Parameters
+        ----------
+        path : Path
+            The ``.vtu`` file.
+        time : float
+            Time of the frame [s], stored as ``TimeValue``, where ParaView looks for it.
+        point_data : dict of str to (n_points,) or (n_points, k) arrays
+            Vectors with two components get a third, zero; 2 x 2 and 3 x 3 tensors become nine components.
+        cell_data : dict of str to list of arrays
+            An array per block of the mesh.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        ValueError
+            If an array does not fit the mesh.
+        """
+        for name, array in point_data.items():
+            if len(array) != self.mesh.n_points:
+                raise ValueError(f"point data {name!r} of length {len(array)}, {self.mesh.n_points} points")
+        cell_arrays = dict(self._cell_arrays)
+        for name, arrays in cell_data.items():
+            cell_arrays[name] = _data_array(name, as_vtk_columns(join_cell_data(self.mesh, name, arrays)))
+        text = [
+            '<?xml version="1.0"?>\n',
+            '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64" ',
+            'compressor="vtkZLibDataCompressor">\n<UnstructuredGrid>\n',
+            "<FieldData>\n",
+            _data_array("TimeValue", np.array([time]), tuples=1),
+            "</FieldData>\n",
+            f'<Piece NumberOfPoints="{self.mesh.n_points}" NumberOfCells="{self.mesh.n_cells}">\n',
+            self._geometry,
+            "<PointData" + (' Vectors="displacement"' if "displacement" in point_data else "") + ">\n",
+            *(_data_array(name, as_vtk_columns(np.asarray(array))) for name, array in point_data.items()),
+            "</PointData>\n<CellData>\n",
+            *cell_arrays.values(),
+            "</CellData>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>\n",
+        ]
+        atomic.write_text(path, "".join(text))
+
+
+@dataclass(frozen=True)
+class VTUContents:
+    """What a ``.vtu`` file holds, in read-only arrays; `cell_data` has one array per block.
+
+    Neighbouring blocks of one cell type, say the tetrahedra of two bodies, come back as one block.
+    """
+
+    time: float
+    points: FloatArray
+    blocks: list[tuple[str, IntArray]]
+    point_data: dict[str, NDArray[Any]]
+    cell_data: dict[str, list[NDArray[Any]]]
+
+
+def read_vtu(path: Path) -> VTUContents:
+    """Read a file written by `VTUWriter`.
+
+    Parameters
+    ----------
+    path : Path
+        The ``.vtu`` file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, torn, or not of the kind `VTUWriter` writes.
+    """
+    try:
+        root = ElementTree.parse(path).getroot()
+        piece = _child(root, "UnstructuredGrid/Piece")
+        points = _read_array(_child(piece, "Points/DataArray"))
+        cells = {array.get("Name"): _read_array(array) for array in piece.findall("Cells/DataArray")}
+        blocks, bounds = _split_blocks(cells["connectivity"], cells["offsets"], cells["types"])
+        time = root.find("UnstructuredGrid/FieldData/DataArray[@Name='TimeValue']")
+        point_data = {str(a.get("Name")): _read_array(a) for a in piece.findall("PointData/DataArray")}
+        cell_data = {str(a.get("Name")): _read_array(a) for a in piece.findall("CellData/DataArray")}
+        counts = int(piece.get("NumberOfPoints", -1)), int(piece.get("NumberOfCells", -1))
+        if len(points) != counts[0] or any(len(array) != counts[0] for array in point_data.values()):
+            raise ValueError(f"the arrays of points do not have {counts[0]} entries")
+        if bounds[-1] != counts[1] or any(len(array) != counts[1] for array in cell_data.values()):
+            raise ValueError(f"the arrays of cells do not have {counts[1]} entries")
+        for _, block in blocks:
+            if block.size and (block.min() < 0 or block.max() >= counts[0]):
+                raise ValueError("a cell refers to a point that is not there")
+        return VTUContents(
+            time=float(_read_array(time)[0]) if time is not None else float("nan"),
+            points=points.astype(np.float64),
+            blocks=blocks,
+            point_data=point_data,
+            cell_data={
+                name: [array[first:last] for first, last in pairwise(bounds)]
+                for name, array in cell_data.items()
+            },
+        )
+    except FileNotFoundError as error:
+        raise InputError([Fault(str(path), 0, "", "no such file")]) from error
+    except (OSError, ElementTree.ParseError, zlib.error, ValueError, KeyError, IndexError) as error:
+        message = f"the file is corrupt or not a frame of femdeform ({error})"
+        raise InputError([Fault(str(path), 0, "", message)]) from error
+
+
+def write_pvd(path: Path, entries: Sequence[tuple[float, str]]) -> None:
+    """Write the list of frames that ParaView opens as one animation.
+
+    Parameters
+    ----------
+    path : Path
+        The ``.pvd`` file.
+    entries : sequence of (time, file)
+        Time [s] and path of each frame relative to the ``.pvd``, with forward slashes.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    rows = [f'<DataSet timestep="{time!r}" part="0" file={quoteattr(file)}/>\n' for time, file in entries]
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n<Collection>\n'
+    atomic.write_text(path, head + "".join(rows) + "</Collection>\n</VTKFile>\n")
+
+
+def read_pvd(path: Path) -> list[tuple[float, str]]:
+    """Times and files of the frames in a ``.pvd``; an empty list where there is no such file.
+
+    Raises
+    ------
+    InputError
+        If the file is not a list of frames.
+    """
+    try:
+        rows = ElementTree.parse(path).getroot().iterfind("Collection/DataSet")
+        return [(float(row.attrib["timestep"]), row.attrib["file"]) for row in rows]
+    except FileNotFoundError:
+        return []
+    except (OSError, ElementTree.ParseError, KeyError, ValueError) as error:
+        raise InputError([Fault(str(path), 0, "", f"the list of frames is corrupt ({error})")]) from error
+
+
+def as_vtk_columns(array: NDArray[Any]) -> NDArray[Any]:
+    """Bring an array into the columns VTK takes for scalars, vectors and tensors.
+
+    Parameters
+    ----------
+    array : (n,), (n, k), (n, 2, 2) or (n, 3, 3) array
+        Two components become three with a zero, 2 x 2 becomes the upper left part of 3 x 3, row by row.
+    """
+    if array.ndim == 3 and array.shape[1:] == (2, 2):
+        array = np.pad(array, ((0, 0), (0, 1), (0, 1)))
+    if array.ndim == 3 and array.shape[1:] == (3, 3):
+        return np.reshape(array, (len(array), 9))
+    if array.ndim == 2 and array.shape[1] == 2:
+        return np.pad(array, ((0, 0), (0, 1)))
+    if array.ndim == 2 and array.shape[1] == 1:
+        return array[:, 0]
+    if array.ndim > 2 or array.ndim < 1:
+        raise ValueError(f"an array of shape {array.shape} is neither scalars, vectors nor tensors")
+    return array
+
+
+def _concatenate(arrays: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
+    return np.concatenate(arrays) if arrays else np.zeros(0, dtype=dtype)
+
+
+def _data_array(name: str, array: NDArray[Any], *, tuples: int | None = None) -> str:
+    if array.dtype == np.bool_:
+        array = array.astype(np.uint8)
+    code = f"{array.dtype.kind}{array.dtype.itemsize}"
+    if code not in _TYPE_NAMES:
+        array = array.astype(np.float64 if array.dtype.kind == "f" else np.int64)
+        code = f"{array.dtype.kind}{array.dtype.itemsize}"
+    attributes = f'type="{_TYPE_NAMES[code]}" Name={quoteattr(name)}'
+    if array.ndim == 2:
+        attributes += f' NumberOfComponents="{array.shape[1]}"'
+    if tuples is not None:
+        attributes += f' NumberOfTuples="{tuples}"'
+    encoded = _encode(np.ascontiguousarray(array, dtype=_DTYPES[_TYPE_NAMES[code]]))
+    return f'<DataArray {attributes} format="binary">{encoded}</DataArray>\n'
+
+
+def _encode(array: NDArray[Any]) -> str:
+    data = array.tobytes()
+    blocks = [zlib.compress(data[start : start + _BLOCK], _LEVEL) for start in range(0, len(data), _BLOCK)]
+    # Number of blocks, size of a full block, size of the last one when it is not full, compressed sizes.
+    header = np.array([len(blocks), _BLOCK, len(data) % _BLOCK, *map(len, blocks)], dtype=_HEADER)
+    return (base64.b64encode(header.tobytes()) + base64.b64encode(b"".join(blocks))).decode("ascii")
+
+
+def _read_array(element: ElementTree.Element) -> NDArray[Any]:
+    if element.get("format") != "binary":
+        raise ValueError(f"array {element.get('Name')!r} is not of the inline binary format")
+    text = (element.text or "").strip()
+    n_blocks = int(np.frombuffer(base64.b64decode(text[:12], validate=True), dtype=_HEADER, count=1)[0])
+    # Header and blocks are encoded one after the other, each padded to full groups of four characters.
+    n_header = -(-8 * (3 + n_blocks) // 3) * 4
+    header = np.frombuffer(base64.b64decode(text[:n_header], validate=True), dtype=_HEADER)
+    packed = base64.b64decode(text[n_header:], validate=True)
+    ends = np.cumsum(header[3:]).astype(np.int64)
+    if len(header) != 3 + n_blocks or (n_blocks and ends[-1] != len(packed)):
+        raise ValueError(f"array {element.get('Name')!r} is cut short")
+    parts = [packed[start:end] for start, end in zip([0, *ends], ends, strict=False)]
+    array = np.frombuffer(b"".join(map(zlib.decompress, parts)), dtype=_DTYPES[element.get("type", "")])
+    n_components = int(element.get("NumberOfComponents", 1))
+    return array.reshape(-1, n_components) if n_components > 1 else array
+
+
+def _child(element: ElementTree.Element, path: str) -> ElementTree.Element:
+    found = element.find(path)
+    if found is None:
+        raise ValueError(f"<{path}> is missing")
+    return found
+
+
+def _split_blocks(
+    connectivity: IntArray, offsets: IntArray, types: NDArray[np.uint8]
+) -> tuple[list[tuple[str, IntArray]], list[int]]:
+    # Runs of equal types are the blocks, as the writer laid them down one after the other.
+    changes = np.flatnonzero(np.diff(types)) + 1
+    bounds = [0, *changes.tolist(), len(types)] if len(types) else [0]
+    starts = np.concatenate([[0], offsets])
+    blocks = []
+    for first, last in pairwise(bounds):
+        name = _NAMES[int(types[first])]
+        cells = connectivity[starts[first] : starts[last]].reshape(-1, VTK_CELLS[name][1])
+        blocks.append((name, cells.astype(np.int64)))
+    return blocks, bounds

@@ -1,0 +1,326 @@
+"""What the schema alone cannot judge: references, dimensions, selections, regions, times, presets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from femdeform import registry
+from femdeform.errors import Fault, InputError
+from femdeform.scene import schema
+from femdeform.scene.key_path import KeyPath
+from femdeform.scene.load import LoadedScene, load_scene, sort_faults
+from femdeform.scene.meshing import survey_meshes
+from femdeform.scene.selections import select_facets, select_nodes
+from femdeform.scene.validation import Finding
+from femdeform.scene.wording import did_you_mean
+from femdeform.types import Mesh
+
+_COMPONENTS = "xyz"
+_NEEDS_FACETS = (schema.Traction, schema.Pressure)
+
+
+def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterable[str] = ()) -> list[Fault]:
+    """Return everything wrong with a scene that passed the schema.
+
+    Parameters
+    ----------
+    loaded : LoadedScene
+        The scene with the lines of its keys.
+    meshes : mapping of str to Mesh
+        Meshes by body; what concerns a body without one is left out.
+    coarse : iterable of str
+        Bodies whose mesh only stands for the one that a run would build: its dimension and groups are right,
+        its nodes are not. Selections by place or by number are not judged on it.
+
+    Returns
+    -------
+    list of Fault
+        Sorted by line; empty if the scene can be run.
+    """
+    findings = [
+        *_body_findings(loaded.scene, meshes),
+        *_dimension_findings(loaded.scene, meshes),
+        *_selection_findings(loaded.scene, meshes, frozenset(coarse)),
+        *_time_findings(loaded.scene),
+        *_solver_findings(loaded.scene),
+    ]
+    return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
+
+
+# ---------------------------------------------------------------------------------------------------- bodies
+
+
+def _body_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
+    for name, mesh in meshes.items():
+        body = scene.bodies[name]
+        path: KeyPath = ("bodies", name)
+        fitting = _fitting_kind(mesh)
+        if body.kind != fitting:
+            cells = {"line": "lines", "triangle": "triangles", "tetra": "tetrahedra"}[mesh.cell_type]
+            message = f"a {body.kind} cannot be made of {cells} in {mesh.dim}D; they make a {fitting}"
+            yield Finding((*path, "kind"), message)
+        yield from _region_findings(body, mesh, (*path, "regions"))
+
+
+def _fitting_kind(mesh: Mesh) -> str:
+    if mesh.cell_type == "line":
+        return "rod"
+    return "membrane" if (mesh.cell_type, mesh.dim) == ("triangle", 3) else "solid"
+
+
+def _region_findings(body: schema.Body, mesh: Mesh, path: KeyPath) -> Iterator[Finding]:
+    count = np.zeros(mesh.n_cells, dtype=np.int64)
+    unknown = False
+    for region in body.regions:
+        if region in mesh.cell_groups:
+            count[mesh.cell_groups[region]] += 1
+            continue
+        unknown = True
+        if region in mesh.group_names():
+            yield Finding((*path, region), f"`{region}` is a group of the boundary, not of cells")
+        else:
+            yield Finding(
+                (*path, region), f"there is no group of cells `{region}`; {_hint(region, mesh.cell_groups)}"
+            )
+    if unknown:
+        return
+    if (count > 1).any():
+        shared = [name for name in body.regions if (count[mesh.cell_groups[name]] > 1).any()]
+        listed = ", ".join(f"`{name}`" for name in shared)
+        yield Finding(path, f"share cells, whose material is then not clear: {listed}")
+    if body.material is None and (count == 0).any():
+        rest = sorted(set(mesh.cell_groups) - set(body.regions))
+        others = f" (further groups of cells: {', '.join(rest)})" if rest else ""
+        yield Finding(path, f"leave cells without a material; add `material` for the rest{others}")
+
+
+# ------------------------------------------------------------------------------------------------ dimensions
+
+
+def _dimension_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
+    if not meshes:
+        return
+    first = next(iter(meshes))
+    dim = meshes[first].dim
+    for name, mesh in meshes.items():
+        if mesh.dim != dim:
+            message = f"the body is {mesh.dim}D, but `{first}` is {dim}D; all bodies share one space"
+            yield Finding(("bodies", name, "mesh"), message)
+    for path, vector in _vectors(scene):
+        if len(vector) != dim:
+            yield Finding(path, f"needs {dim} entries in a {dim}D scene, not {len(vector)}")
+    for index, condition in enumerate(scene.conditions):
+        yield from _rotation_findings(condition, dim, ("conditions", index))
+        if isinstance(condition, schema.Fixed) and condition.components:
+            for place, component in enumerate(condition.components):
+                if component not in _COMPONENTS[:dim]:
+                    path = ("conditions", index, "components", place)
+                    yield Finding(path, f"there is no {component} in a {dim}D scene")
+    for index, expected in enumerate(scene.expect.displacement):
+        if expected.component != "norm" and expected.component not in _COMPONENTS[:dim]:
+            path = ("expect", "displacement", index, "component")
+            yield Finding(path, f"there is no {expected.component} in a {dim}D scene")
+
+
+def _rotation_findings(condition: schema.Condition, dim: int, path: KeyPath) -> Iterator[Finding]:
+    if isinstance(condition, schema.Twist) and dim == 2:
+        yield Finding((*path, "kind"), "a twist needs a 3D scene; use `rotate` in 2D")
+    elif isinstance(condition, schema.Rotate):
+        if dim == 3 and condition.axis is None:
+            yield Finding((*path, "axis"), "missing; a rotation in 3D needs its axis")
+        elif dim == 2 and condition.axis is not None:
+            yield Finding((*path, "axis"), "not allowed in a 2D scene, where every rotation is about z")
+        elif condition.axis is not None and len(condition.axis) != dim:
+            yield Finding(
+                (*path, "axis"), f"needs {dim} entries in a {dim}D scene, not {len(condition.axis)}"
+            )
+    elif isinstance(condition, schema.InitialVelocity) and condition.angular_velocity is not None:
+        spin = condition.angular_velocity
+        if dim == 3 and not isinstance(spin, tuple):
+            yield Finding((*path, "angular_velocity"), "must be a vector of 3 numbers in a 3D scene")
+        elif dim == 3 and isinstance(spin, tuple) and len(spin) != 3:
+            yield Finding((*path, "angular_velocity"), f"needs 3 entries in a 3D scene, not {len(spin)}")
+        elif dim == 2 and isinstance(spin, tuple):
+            yield Finding((*path, "angular_velocity"), "must be one number in a 2D scene, about z")
+
+
+def _vectors(scene: schema.DeformableScene) -> Iterator[tuple[KeyPath, tuple[float, ...]]]:
+    """Every vector of the scene whose length is the dimension."""
+    if scene.gravity is not None:
+        yield ("gravity",), scene.gravity
+    for index, condition in enumerate(scene.conditions):
+        # Axes and angular velocities have rules of their own.
+        yield from _vectors_inside(condition, ("conditions", index), leave_out=("axis", "angular_velocity"))
+    for index, obstacle in enumerate(scene.obstacles):
+        yield from _vectors_inside(obstacle, ("obstacles", index))
+    for index, expected in enumerate(scene.expect.displacement):
+        yield from _vectors_inside(expected, ("expect", "displacement", index))
+    for name, body in scene.bodies.items():
+        if body.mesh.translate is not None:
+            yield ("bodies", name, "mesh", "translate"), body.mesh.translate
+
+
+def _vectors_inside(
+    value: Any, path: KeyPath, leave_out: tuple[str, ...] = ()
+) -> Iterator[tuple[KeyPath, tuple[float, ...]]]:
+    if isinstance(value, BaseModel):
+        for name in type(value).model_fields:
+            if name not in leave_out:
+                yield from _vectors_inside(getattr(value, name), (*path, name))
+    elif isinstance(value, tuple) and value and all(isinstance(entry, float) for entry in value):
+        yield path, value
+    elif isinstance(value, (tuple, list)):
+        for index, entry in enumerate(value):
+            if isinstance(entry, tuple):
+                yield from _vectors_inside(entry, (*path, index))
+
+
+# ------------------------------------------------------------------------------------------------ selections
+
+
+def _selection_findings(
+    scene: schema.DeformableScene, meshes: Mapping[str, Mesh], coarse: frozenset[str]
+) -> Iterator[Finding]:
+    for index, condition in enumerate(scene.conditions):
+        needs_facets = isinstance(condition, _NEEDS_FACETS)
+        yield from _judge_selection(
+            condition.on, ("conditions", index, "on"), scene, meshes, coarse, needs_facets
+        )
+    for index, expected in enumerate(scene.expect.displacement):
+        yield from _judge_selection(
+            expected.on, ("expect", "displacement", index, "on"), scene, meshes, coarse, False
+        )
+
+
+def _judge_selection(
+    selection: schema.Selection,
+    path: KeyPath,
+    scene: schema.DeformableScene,
+    meshes: Mapping[str, Mesh],
+    coarse: frozenset[str],
+    needs_facets: bool,
+) -> Iterator[Finding]:
+    if isinstance(selection, str):
+        yield from _judge_name(selection, path, scene, meshes, needs_facets)
+        return
+    if selection.body is not None and selection.body not in scene.bodies:
+        hint = did_you_mean(selection.body, scene.bodies)
+        yield Finding((*path, "body"), f"there is no body `{selection.body}`; {hint}")
+        return
+    concerned = [selection.body] if selection.body is not None else list(scene.bodies)
+    if isinstance(selection, schema.NodeSelection) and len(concerned) > 1:
+        message = (
+            f"with several bodies, `body` has to say whose nodes are meant; {did_you_mean('', scene.bodies)}"
+        )
+        yield Finding((*path, "body"), f"missing; {message}")
+        return
+    judged = {name: meshes[name] for name in concerned if name in meshes and name not in coarse}
+    dims = {mesh.dim for mesh in meshes.values()}
+    if len(judged) < len(concerned) or len(dims) > 1:
+        return  # no mesh to judge it by, or a fault that is reported already
+    if any(len(vector) not in dims for _, vector in _vectors_inside(selection, ())):
+        return
+    try:
+        found = select_nodes(selection, judged)
+    except InputError as error:
+        yield Finding((*path, "nodes"), error.faults[0].message)
+        return
+    yield from _judge_extent(found, selection, path, judged, needs_facets, "the place")
+
+
+def _judge_name(
+    name: str, path: KeyPath, scene: schema.DeformableScene, meshes: Mapping[str, Mesh], needs_facets: bool
+) -> Iterator[Finding]:
+    body, dot, group = name.partition(".")
+    if body not in scene.bodies:
+        owners = [f"{owner}.{name}" for owner, mesh in meshes.items() if name in mesh.group_names()]
+        if owners:
+            yield Finding(path, f"`{name}` is a group, not a body; did you mean `{owners[0]}`?")
+        else:
+            yield Finding(path, f"there is no body `{body}`; {did_you_mean(body, scene.bodies)}")
+        return
+    if body not in meshes:
+        return
+    known = meshes[body].group_names()
+    if dot and group not in known:
+        hint = did_you_mean(group, known)
+        listed = f" (groups: {', '.join(known)})" if hint.startswith("did") else ""
+        yield Finding(path, f"body `{body}` has no group `{group}`; {hint}{listed}")
+        return
+    yield from _judge_extent(select_nodes(name, meshes), name, path, meshes, needs_facets, f"`{name}`")
+
+
+def _judge_extent(
+    nodes: Mapping[str, Any],
+    selection: schema.Selection,
+    path: KeyPath,
+    meshes: Mapping[str, Mesh],
+    needs_facets: bool,
+    subject: str,
+) -> Iterator[Finding]:
+    if not nodes:
+        yield Finding(path, f"selects nothing: no node lies there ({_extent(meshes)})")
+    elif needs_facets and not select_facets(selection, meshes):
+        yield Finding(path, f"{subject} holds nodes, but no facet of the boundary for the load to act on")
+
+
+def _extent(meshes: Mapping[str, Mesh]) -> str:
+    low = np.min([mesh.points.min(axis=0) for mesh in meshes.values()], axis=0)
+    high = np.max([mesh.points.max(axis=0) for mesh in meshes.values()], axis=0)
+    ranges = [f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip(_COMPONENTS, low, high, strict=False)]
+    return f"the nodes span {', '.join(ranges)} [m]"
+
+
+def _hint(word: str, known: Iterable[str]) -> str:
+    names = sorted(known)
+    return did_you_mean(word, names) if names else "the mesh names no groups of cells"
+
+
+# ------------------------------------------------------------------------------------------- time and solver
+
+
+def _time_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
+    smallest = scene.on_failure.min_dt
+    if smallest is not None and smallest > scene.time.dt:
+        message = f"must not exceed time.dt, {scene.time.dt:g} [s], not {smallest:g}"
+        yield Finding(("on_failure", "min_dt"), message)
+    if scene.time.scheme == "quasistatic":
+        for index, condition in enumerate(scene.conditions):
+            if isinstance(condition, schema.InitialVelocity):
+                path: KeyPath = ("conditions", index, "kind")
+                yield Finding(path, "a quasistatic run has no velocities; remove it, or use backward_euler")
+
+
+def _solver_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
+    chosen = scene.linear_solver
+    if isinstance(chosen, schema.KSPLinearSolver):
+        known = registry.preset_names()
+        if chosen.preset not in known:
+            message = f"there is no preset `{chosen.preset}`; {did_you_mean(chosen.preset, known)}"
+            yield Finding(("linear_solver", "preset"), message)
+
+
+# ----------------------------------------------------------------------------------------------- whole files
+
+
+def check_file(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
+    """Everything wrong with a scene file, sorted by line; empty if it can be run.
+
+    Parameters
+    ----------
+    path : Path
+        The YAML file.
+    overrides : sequence of str
+        Each ``key=value``, as on the command line.
+    """
+    try:
+        loaded = load_scene(path, overrides)
+    except InputError as error:
+        return list(error.faults)
+    survey = survey_meshes(loaded)
+    return sort_faults([*survey.faults, *check_scene(loaded, survey.meshes, survey.coarse)])

@@ -1,0 +1,1 @@
+"""How a step, or a linear system, is solved."""

@@ -1,0 +1,1 @@
+"""Linear systems: PETSc, and the SciPy fallback."""

@@ -1,0 +1,188 @@
+"""Linear systems by PETSc's Krylov and direct solvers, chosen by a named preset."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from femdeform.errors import Fault, InputError, MissingDependencyError
+from femdeform.fem.assembly import SparseHessian
+from femdeform.types import FloatArray
+from solvers.linear import coo
+from solvers.linear.interface import LinearResult
+
+_numbers = itertools.count()
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A named set of PETSc options.
+
+    Attributes
+    ----------
+    name : str
+    options : dict
+        PETSc options without prefix and dash; a value of None is a flag.
+    near_nullspace : bool
+        Attach the rigid-body modes of the reference positions to the matrix.
+    """
+
+    name: str
+    options: dict[str, Any]
+    near_nullspace: bool = False
+
+
+def preset_names() -> list[str]:
+    """Names of the presets that are shipped, sorted."""
+    folder = resources.files("solvers.presets")
+    return sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml"))
+
+
+def load_preset(name: str) -> Preset:
+    """Read a shipped preset.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    from ruamel.yaml import YAML
+
+    if name not in preset_names():
+        raise InputError(
+            [Fault("", 0, "linear_solver.preset", f"unknown preset {name!r}; there are {', '.join(preset_names())}")]
+        )
+    text = (resources.files("solvers.presets") / f"{name}.yaml").read_text(encoding="utf-8")
+    data = YAML(typ="safe", pure=True).load(text)
+    return Preset(name, dict(data["options"]), bool(data.get("near_nullspace", False)))
+
+
+def _petsc() -> Any:
+    try:
+        from petsc4py import PETSc
+    except ImportError as error:
+        raise MissingDependencyError(f"petsc4py cannot be imported: {error}") from None
+    return PETSc
+
+
+class KSP:
+    """A PETSc Krylov solver (or a direct one, as ``preonly``) that keeps its matrix between solves.
+
+    The sparsity is fixed at the first solve; each further solve sets values only, and factorisations reuse their
+    symbolic part.
+
+    Parameters
+    ----------
+    preset : str
+        Name of a preset, see `preset_names`.
+    options : mapping
+        PETSc options over the preset's, without prefix and dash.
+
+    Raises
+    ------
+    MissingDependencyError
+        If petsc4py is not installed.
+    InputError
+        If the preset is unknown, or PETSc did not use one of the options (raised by the first solve).
+
+    References
+    ----------
+    S. Balay et al., PETSc/TAO Users Manual.
+
+    Limitations
+    -----------
+    The sparsity must not change during the life of an object.
+    """
+
+    def __init__(self, preset: str = "newton-mumps", options: Mapping[str, Any] | None = None) -> None:
+        self._PETSc = _petsc()
+        self.preset = load_preset(preset)
+        self.name = f"ksp/{preset}"
+        self._options = {**self.preset.options, **(options or {})}
+        # Each object has options of its own: PETSc's option table is global.
+        self._prefix = f"femdeform_{next(_numbers)}_"
+        self._matrix: Any = None
+        self._solver: Any = None
+        self._modes: Any = None
+        self._checked = False
+
+    def _set_up(self, K: SparseHessian) -> None:
+        PETSc = self._PETSc
+        partition, dim = K.partition, K.dim
+        comm = PETSc.COMM_SELF if partition.comm is None else partition.comm
+        n = partition.n_owned * dim
+        self._matrix = PETSc.Mat().create(comm=comm)
+        self._matrix.setSizes(((n, partition.n_global * dim),) * 2)
+        self._matrix.setBlockSize(dim)
+        self._matrix.setType(PETSc.Mat.Type.AIJ)
+        dofs = (partition.global_index[:, None] * dim + np.arange(dim)).ravel()
+        rows = np.repeat(dofs, np.diff(K.row_offsets))
+        coo.preallocate(self._matrix, rows, dofs[K.columns])
+        self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        if self.preset.near_nullspace:
+            coordinates = PETSc.Vec().createMPI((n, partition.n_global * dim), bsize=dim, comm=comm)
+            coordinates.setArray(K.points[: partition.n_owned].ravel())
+            self._modes = PETSc.NullSpace().createRigidBody(coordinates)
+            self._matrix.setNearNullSpace(self._modes)
+            coordinates.destroy()
+        table = PETSc.Options(self._prefix)
+        for key, value in self._options.items():
+            table.setValue(key, "" if value is None else value)
+        self._solver = PETSc.KSP().create(comm=comm)
+        self._solver.setOptionsPrefix(self._prefix)
+        self._solver.setOperators(self._matrix)
+        self._solver.setFromOptions()
+        self._x, self._b = self._matrix.createVecs()
+
+    def _check_options(self) -> None:
+        unused = [key for key in self._options if not coo.option_was_used(self._prefix + key)]
+        self._checked = True
+        if unused:
+            raise InputError(
+                [Fault("", 0, f"linear_solver.options.{key}", "PETSc did not use this option") for key in unused]
+            )
+
+    def solve(self, K: SparseHessian, b: FloatArray) -> LinearResult:
+        """Solve K x = b; see `LinearSolver`."""
+        if self._solver is None:
+            self._set_up(K)
+        partition, dim = K.partition, K.dim
+        coo.set_values(self._matrix, K.values)
+        self._b.setArray(b[: partition.n_owned].ravel())
+        self._x.set(0.0)
+        self._solver.solve(self._b, self._x)
+        if not self._checked:
+            self._check_options()
+        code = int(self._solver.getConvergedReason())
+        x = np.empty((partition.n_local, dim))
+        x[: partition.n_owned] = self._x.getArray(readonly=True).reshape(-1, dim)
+        partition.update_ghosts(x)
+        return LinearResult(x, int(self._solver.getIterationNumber()), code > 0, self._reason(code))
+
+    def _reason(self, code: int) -> str:
+        reasons = self._PETSc.KSP.ConvergedReason
+        names = [n for n in dir(reasons) if not n.startswith("_") and getattr(reasons, n) == code]
+        return min(names, key=len).lower().replace("_", " ") if names else f"reason {code}"
+
+    def reset(self) -> None:
+        """Drop factors and preconditioners; the next solve is that of a new object, on the same sparsity."""
+        if self._solver is not None:
+            self._solver.reset()
+            self._solver.setOperators(self._matrix)
+
+    def destroy(self) -> None:
+        """Free the matrix, the solver and their options."""
+        if self._solver is not None:
+            for thing in (self._solver, self._matrix, self._x, self._b):
+                thing.destroy()
+            if self._modes is not None:
+                self._modes.destroy()
+            table = self._PETSc.Options(self._prefix)
+            for key in self._options:
+                table.delValue(key)
+            self._solver = None

@@ -1,0 +1,211 @@
+"""Newton's method on the incremental potential with positive semi-definite element Hessians."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from femdeform.scene.schema import ProjectedNewtonSolver
+from femdeform.step_problem import IterationObserver, StepProblem, StepResult
+from femdeform.types import FloatArray
+from solvers.linear.interface import LinearSolver
+
+# Phi is a sum of terms that cancel: differences below this fraction of it are rounding.
+_VALUE_NOISE = 1e-13
+
+
+@dataclass
+class _Iterate:
+    """Positions with everything already evaluated there."""
+
+    x: FloatArray
+    residual: FloatArray
+    norm: float
+
+
+@dataclass(frozen=True)
+class _Direction:
+    """A search direction and how it was found."""
+
+    step: FloatArray
+    slope: float
+    iterations: int
+    projected: bool
+    usable: bool
+    reason: str
+
+
+class ProjectedNewton:
+    """The reference solver: every other family is judged by its answers.
+
+    Each iteration solves ``K dx = -r`` with the Hessian of Phi and backtracks along dx until Armijo's condition holds.
+    With ``hessian: projected`` each element's part of K is clamped to positive semi-definite by its analytic
+    eigensystem, which makes dx a descent direction; with ``adaptive`` the exact Hessian takes over once full steps
+    reduce the residual, for quadratic convergence, and is given up for the clamped one in any iteration where its
+    direction does not descend. Prescribed positions enter by a first linearised step that spreads their motion over
+    the body instead of crushing the elements at the support.
+
+    Parameters
+    ----------
+    options : ProjectedNewtonSolver
+        The scene's block.
+    linear_solver : LinearSolver
+
+    References
+    ----------
+    J. Teran et al., Robust quasistatic finite elements and flesh simulation (2005): clamping of element Hessians.
+    B. Smith, F. de Goes, T. Kim, Analytic eigensystems for isotropic distortion energies (2019).
+    W. Hager, H. Zhang, A new conjugate gradient method with guaranteed descent (2005): the approximate Wolfe test,
+    used where differences of Phi are rounding.
+
+    Limitations
+    -----------
+    Finds a stationary point near the last state, not all of them: past a buckling load the branch taken depends on
+    imperfections and step size. Non-symmetric parts of follower loads are left out of K; convergence is then linear.
+    """
+
+    def __init__(self, options: ProjectedNewtonSolver, linear_solver: LinearSolver) -> None:
+        self.options = options
+        self.linear_solver = linear_solver
+
+    def step(self, problem: StepProblem, state: Any, observe: IterationObserver | None = None) -> StepResult:
+        """Minimise Phi from an accepted state.
+
+        Parameters
+        ----------
+        problem : StepProblem
+            With the step begun.
+        state : State
+            Last accepted state; not changed.
+        observe : callable, optional
+            Called after every iteration.
+
+        Returns
+        -------
+        StepResult
+            `converged` is False, with the reason, if the tolerance was not reached; nothing is raised for that.
+        """
+        start = time.perf_counter()
+        x, linear_iterations, guess_iterations = self._first_iterate(problem, state)
+        current = self._evaluate(problem, x)
+        if problem.force_scale <= 0.0:
+            problem.force_scale = problem.residual_norm(problem.full_gradient(x))
+        previous_norm, previous_length = math.inf, 0.0
+        iteration = guess_iterations
+
+        def result(converged: bool, reason: str) -> StepResult:
+            relative = _ratio(current.norm, problem.force_scale)
+            return StepResult(
+                current.x, converged, reason, iteration, linear_iterations, current.norm, relative
+            )
+
+        while True:
+            if not math.isfinite(current.norm):
+                return result(False, "the residual is not finite")
+            if current.norm <= self.options.tolerance * problem.force_scale:
+                return result(True, "residual below tolerance")
+            if iteration > guess_iterations and current.norm <= problem.roundoff_norm(current.x):
+                return result(True, "residual at the level of rounding")
+            if iteration >= self.options.max_iterations:
+                return result(False, f"no convergence in {iteration} iterations")
+
+            problem.linearize_at(current.x)
+            value = problem.value(current.x)
+            settled = previous_length == 1.0 and current.norm < 0.5 * previous_norm
+            attempts = [True] if self.options.hessian == "projected" else [False]
+            if self.options.hessian == "adaptive":
+                attempts = [False, True] if settled else [True]
+            length, found, direction = 0.0, None, None
+            for project in attempts:
+                direction = self._direction(problem, current, project)
+                linear_iterations += direction.iterations
+                if not direction.usable:
+                    continue
+                length, found = self._line_search(problem, current, direction, value)
+                if found is not None:
+                    break
+            assert direction is not None
+            if found is None:
+                if current.norm <= 10.0 * problem.roundoff_norm(current.x):
+                    return result(True, "residual at the level of rounding")
+                return result(False, "the line search failed" if direction.usable else direction.reason)
+
+            previous_norm, previous_length = current.norm, length
+            current = found
+            iteration += 1
+            if observe is not None:
+                observe(
+                    {
+                        "iteration": iteration,
+                        "residual_norm": current.norm,
+                        "relative_residual": _ratio(current.norm, problem.force_scale),
+                        "objective": value,
+                        "step_length": length,
+                        "linear_iterations": direction.iterations,
+                        "projected": int(direction.projected),
+                        "seconds": time.perf_counter() - start,
+                    }
+                )
+
+    def _evaluate(self, problem: StepProblem, x: FloatArray) -> _Iterate:
+        residual = problem.gradient(x)
+        return _Iterate(x, residual, problem.residual_norm(residual))
+
+    def _first_iterate(self, problem: StepProblem, state: Any) -> tuple[FloatArray, int, int]:
+        """Positions that carry the prescribed motion of the step; linear and nonlinear iterations they took."""
+        guess = problem.initial_guess(state)
+        motion = guess - state.x
+        if problem.partition.max(float(np.abs(motion).max(initial=0.0))) == 0.0:
+            return guess, 0, 0
+        force = problem.full_gradient(state.x) + problem.hessian_times(state.x, motion)
+        answer = self.linear_solver.solve(
+            problem.hessian(state.x, project=True), -np.where(problem.free, force, 0.0)
+        )
+        if answer.converged:
+            spread = guess + np.where(problem.free, answer.x, 0.0)
+            problem.linearize_at(state.x)
+            value = problem.value(spread)
+            if math.isfinite(value) and not problem.value(guess) < value:
+                return spread, answer.iterations, 1
+        return guess, answer.iterations, 1
+
+    def _direction(self, problem: StepProblem, current: _Iterate, project: bool) -> _Direction:
+        answer = self.linear_solver.solve(problem.hessian(current.x, project), -current.residual)
+        slope = problem.partition.dot(current.residual, answer.x) if answer.converged else math.nan
+        usable, reason = True, ""
+        if not answer.converged:
+            usable, reason = False, f"the linear solver failed: {answer.reason}"
+        elif not math.isfinite(slope):
+            usable, reason = False, "the linear system is singular: is every body held, or has it inertia?"
+        elif slope >= 0.0:
+            usable, reason = False, "the search direction does not descend"
+        return _Direction(answer.x, slope, answer.iterations, project, usable, reason)
+
+    def _line_search(
+        self, problem: StepProblem, current: _Iterate, direction: _Direction, value: float
+    ) -> tuple[float, _Iterate | None]:
+        """Step length and the iterate there; None if no admissible length gives a decrease."""
+        search = self.options.line_search
+        length = problem.max_step(current.x, direction.step)
+        noise = _VALUE_NOISE * abs(value)
+        for _ in range(search.max_backtracks + 1):
+            x = current.x + length * direction.step
+            trial = problem.value(x)
+            if trial <= value + search.armijo * length * direction.slope:
+                return length, self._evaluate(problem, x)
+            if trial <= value + noise:
+                # Too close for differences of Phi: the slope at the new point decides instead.
+                candidate = self._evaluate(problem, x)
+                slope = problem.partition.dot(candidate.residual, direction.step)
+                if 0.9 * direction.slope <= slope <= (2.0 * search.armijo - 1.0) * direction.slope:
+                    return length, candidate
+            length *= search.shrink
+        return length, None
+
+
+def _ratio(norm: float, scale: float) -> float:
+    return norm / scale if scale > 0.0 else (0.0 if norm == 0.0 else math.inf)
