@@ -22,6 +22,13 @@ def own_version() -> str:
     return _version("femdeform") or "unknown"
 
 
+def versions() -> dict[str, str]:
+    """Versions that decide a run's numbers: femdeform, Python and the libraries that are installed."""
+    names = [*_required(), *_OPTIONAL]
+    found = {name: version for name in names if (version := _version(name)) is not None}
+    return {"femdeform": own_version(), "python": platform.python_version(), **found}
+
+
 def describe() -> str:
     """Return the whole text of `femdeform info`."""
     sections = {

@@ -1,12 +1,12 @@
 """Compiled kernels: the project's `njit`, where the compiled code is kept, how many threads it uses.
 
-Importing this module does not import numba. A kernel module does ``from femdeform.jit import njit, prange``; that first
-use imports numba, after the cache folder and the number of threads were put into the environment, where numba reads
-them once.
+Importing this module does not import numba. A kernel module does ``from femdeform.jit import njit, prange``;
+that first use imports numba, after the cache folder and the number of threads were put into the environment,
+where numba reads them once.
 
-numba keeps compiled code per source file and does not notice when a function in *another* file, compiled into a
-driver, has changed. The cache folder is therefore named after the contents of all kernel modules of the project:
-whoever edits one of them starts a new folder.
+numba keeps compiled code per source file and does not notice when a function in *another* file, compiled into
+a driver, has changed. The cache folder is therefore named after the contents of all kernel modules of the
+project: whoever edits one of them starts a new folder.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
@@ -38,7 +39,6 @@ _RANK_COUNT_VARIABLES = (
     "OMPI_COMM_WORLD_LOCAL_SIZE",
     "MPI_LOCALNRANKS",
     "MV2_COMM_WORLD_LOCAL_SIZE",
-    "SLURM_NTASKS_PER_NODE",
     "OMPI_COMM_WORLD_SIZE",
     "PMI_SIZE",
 )
@@ -46,7 +46,7 @@ _OUR_THREADS = "FEMDEFORM_EXPORTED_THREADS"
 _UNUSED_CACHE_SECONDS = 30 * 86400.0
 
 
-# ------------------------------------------------------------------------------------------------- decorators
+# ---------------------------------------------------------------------------------------- decorators
 
 
 @overload
@@ -69,8 +69,8 @@ def njit(
 ) -> Any:
     """Compile a function on its first call, with the defaults of the project, and keep the result on disk.
 
-    Division by zero gives inf or nan as in numpy, never an exception. ``@njit`` and ``@njit(parallel=True)`` both
-    work; ``parallel=True`` turns the `prange` loops of the function into threaded ones.
+    Division by zero gives inf or nan as in numpy, never an exception. ``@njit`` and ``@njit(parallel=True)``
+    both work; ``parallel=True`` turns the `prange` loops of the function into threaded ones.
 
     Parameters
     ----------
@@ -95,7 +95,8 @@ def njit(
     return decorate if function is None else decorate(function)
 
 
-# numba's own objects, for kernel modules; found on first use, so that numba is imported with its environment in order.
+# numba's own objects, for kernel modules; found on first use, so that numba is imported with its environment
+# in order.
 _NUMBA_OBJECTS = {
     "prange": "numba",
     "types": "numba.core",
@@ -129,32 +130,36 @@ def _numba() -> Any:
     global _configured
     if not _configured:
         _configured = True
-        if "numba" not in sys.modules:
-            os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_folder()))
-            if not _user_chose_numba_threads():
-                _export_threads(default_threads())
+        first = "numba" not in sys.modules
+        threads = default_threads()
+        if first:
+            if "NUMBA_CACHE_DIR" not in os.environ:
+                os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+            if os.environ.get("NUMBA_NUM_THREADS") != str(threads):
+                _export_threads(threads)
         import numba
         from numba.core import event
 
         event.Listener.register(_CompileListener)
         event.register("numba:compile", _CompileListener.instance())
-        if "NUMBA_CACHE_DIR" not in os.environ:
-            # Somebody imported numba before us: its configuration can still be changed, its environment cannot.
-            os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(_cache_folder())
-            numba.set_num_threads(min(default_threads(), numba.config.NUMBA_NUM_THREADS))
+        if not first:
+            # Somebody imported numba before us: it no longer reads the environment, but can still be told.
+            if "NUMBA_CACHE_DIR" not in os.environ:
+                os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(_cache_folder())
+            numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     import numba
 
     return numba
 
 
-# ------------------------------------------------------------------------------------------------- cache folder
+# ---------------------------------------------------------------------------------------- cache folder
 
 
 def kernel_key() -> str:
     """Return a hash of the contents of every kernel module of the project.
 
-    A kernel module is one that mentions ``femdeform.jit``; a module that only holds constants for kernels has to
-    import it as well, otherwise a change of such a constant goes unnoticed.
+    A kernel module is one that mentions ``femdeform.jit``; a module that only holds constants for kernels has
+    to import it as well, otherwise a change of such a constant goes unnoticed.
     """
     import hashlib
 
@@ -172,7 +177,7 @@ def kernel_key() -> str:
 
 
 def _cache_folder() -> Path:
-    """Return a folder of this user for compiled code, made if needed; a temporary one where there is no other."""
+    """Return a folder of this user for compiled code, made if needed; else a temporary one."""
     import tempfile
 
     name = f"kernels-{kernel_key()}"
@@ -193,7 +198,7 @@ def _cache_folder() -> Path:
 
 
 def _is_private(folder: Path) -> bool:
-    """Make a folder and tell whether this user alone can write to it: numba unpickles, that is runs, its contents."""
+    """Make a folder and tell whether only this user can write to it: numba unpickles, so runs, its contents."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     facts = os.stat(folder)
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -218,11 +223,11 @@ def _remove_unused(parent: Path, keep: str) -> None:
             continue
 
 
-# ------------------------------------------------------------------------------------------------- threads
+# ---------------------------------------------------------------------------------------- threads
 
 
 def n_local_ranks() -> int:
-    """Return how many MPI ranks share this computer, 1 without MPI, from what the launcher left in the environment."""
+    """Return how many MPI ranks share this computer, as the launcher left it in the environment; else 1."""
     for variable in _RANK_COUNT_VARIABLES:
         value = os.environ.get(variable, "")
         if value.isdigit() and int(value) > 0:
@@ -237,10 +242,8 @@ def n_available_cores() -> int:
         cores = len(os.sched_getaffinity(0))
         if n_local_ranks() > 1:
             # mpiexec binds each rank to its share; what there is to share is what mpiexec itself may use.
-            try:
+            with suppress(OSError):
                 cores = max(cores, len(os.sched_getaffinity(os.getppid())))
-            except OSError:
-                pass
     try:
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="ascii").split()
         if quota != "max":
@@ -253,7 +256,8 @@ def n_available_cores() -> int:
 def default_threads() -> int:
     """Return the number of threads for kernels, at least 1.
 
-    That is ``FEMDEFORM_THREADS`` if set, else ``NUMBA_NUM_THREADS`` if the user set it, else cores divided by ranks.
+    That is ``FEMDEFORM_THREADS`` if set, else ``NUMBA_NUM_THREADS`` if the user set it, else cores divided by
+    ranks.
 
     Raises
     ------
@@ -276,7 +280,8 @@ def default_threads() -> int:
 
 
 def _export_threads(count: int) -> None:
-    # The second variable tells a child process that the first one is not the user's wish but ours, for this process.
+    # The second variable tells a child process that the first one is not the user's wish but ours, for this
+    # process.
     os.environ["NUMBA_NUM_THREADS"] = os.environ[_OUR_THREADS] = str(count)
 
 
@@ -315,14 +320,14 @@ def set_threads(n: int | None = None) -> int:
     return count
 
 
-# ------------------------------------------------------------------------------------------------- compilation
+# ---------------------------------------------------------------------------------------- compilation
 
 
 class _CompileListener:
     """Hears every compilation of numba: adds up the seconds and calls back at the first.
 
-    numba reports a compilation, not a load from the cache, and reports those of called functions inside that of the
-    caller; only the outermost one is counted.
+    numba reports a compilation, not a load from the cache, and reports those of called functions inside that
+    of the caller; only the outermost one is counted.
     """
 
     _instance: _CompileListener | None = None

@@ -48,7 +48,8 @@ def world() -> Any | None:
     try:
         from mpi4py import MPI
     except ImportError as error:
-        raise MissingDependencyError(f"{launched_ranks()} ranks need mpi4py, which cannot be imported: {error}") from None
+        message = f"{launched_ranks()} ranks need mpi4py, which cannot be imported: {error}"
+        raise MissingDependencyError(message) from None
     return MPI.COMM_WORLD
 
 

@@ -99,6 +99,7 @@ def _placed(points: FloatArray, rotate: Rotation | None, translate: tuple[float,
 def _rotation_matrix(rotate: Rotation) -> FloatArray:
     """Rodrigues' formula."""
     axis = np.array(rotate.axis)
+    axis = axis / np.abs(axis).max()  # first, as squares of tiny numbers vanish
     x, y, z = axis / np.linalg.norm(axis)
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turned = np.eye(3) + np.sin(rotate.angle) * skew + (1.0 - np.cos(rotate.angle)) * (skew @ skew)

@@ -16,6 +16,7 @@ from meshes.boundary import (
     boundary_facets,
     connected_parts,
     edge_lengths_squared,
+    measures,
     row_keys,
 )
 from meshes.gmsh_session import gmsh_session, guard_cell_count, read_parts
@@ -30,6 +31,8 @@ _SHARP = tuple(map(math.radians, (40.0, 80.0, 180.0)))
 _WORST_QUALITY = 0.05
 _VOLUME_CHANGE = 0.1
 _DISTANCE = 2.5
+# So many points of a shell say whether it lies inside another one.
+_PROBES = 200
 
 
 def fill_surface(surface: MeshParts, name: str, element_size: float | None = None) -> MeshParts:
@@ -78,7 +81,8 @@ def fill_surface(surface: MeshParts, name: str, element_size: float | None = Non
     size = None
     if element_size is not None:
         size = element_size * factor
-        guard_cell_count(name, _volume(points, triangles) / factor**3, element_size, 3)
+        extents = {2: float(measures(points, triangles).sum()), 3: _volume(points, triangles)}
+        guard_cell_count(name, extents, size, element_size)
         remeshed = _remesh(points, triangles, name, size)
         if remeshed is None:
             notices.append(f"fill: the surface is kept, meshing it with element_size {element_size:g} fails")
@@ -162,7 +166,7 @@ def _tetrahedralise(
     """Fill the surface; its points come first and keep their order."""
     n_shells, shell_of = connected_parts(triangles, len(points))
     shells = [triangles[shell_of == shell] for shell in range(n_shells)]
-    inside = _nesting(points, shells)
+    inside = _nesting(points, shells, name)
     depth = inside.sum(axis=1)
     with gmsh_session(name) as gmsh:
         for tag, shell in enumerate(shells, start=1):
@@ -187,16 +191,21 @@ def _tetrahedralise(
     return parts.points, parts.cells["tetra"]
 
 
-def _nesting(points: FloatArray, shells: list[IntArray]) -> BoolArray:
-    """Matrix (n_shells, n_shells): whether shell i lies inside shell j."""
+def _nesting(points: FloatArray, shells: list[IntArray], name: str) -> BoolArray:
+    """Matrix (n_shells, n_shells): whether shell i lies inside shell j; shells that cross are an error."""
     inside = np.zeros((len(shells), len(shells)), dtype=np.bool_)
     boxes = [(points[shell].min(axis=(0, 1)), points[shell].max(axis=(0, 1))) for shell in shells]
     for i, shell in enumerate(shells):
-        probe = points[shell[0, 0]]
+        nodes = np.unique(shell)
+        probes = points[nodes[:: -(-len(nodes) // _PROBES)]]
         for j, other in enumerate(shells):
-            low, high = boxes[j]
-            if i != j and np.all(probe >= low) and np.all(probe <= high):
-                inside[i, j] = abs(_winding_number(points[other] - probe)) > 0.5
+            if i == j:
+                continue
+            in_box = np.all((probes >= boxes[j][0]) & (probes <= boxes[j][1]), axis=1)
+            found = [abs(_winding_number(points[other] - probe)) > 0.5 for probe in probes[in_box]]
+            if any(found) and not (all(found) and np.all(in_box)):
+                raise fault(name, "fill: parts of the surface cross each other")
+            inside[i, j] = any(found)
     return inside
 
 

@@ -43,6 +43,12 @@ _OPTIONS: dict[str, float] = {
 }
 
 _ELEMENTS: dict[int, PartKind] = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra"}
+# Measure of a regular simplex of edge 1: what a cell takes on average.
+_SIMPLEX = {1: 1.0, 2: 0.433, 3: 0.118}
+MAX_CELLS = 5_000_000
+# Small radii are meshed finer than asked for, but not beyond this part of the element size.
+FINEST = 0.02
+
 _DIMENSION_WORDS = ("point", "curve", "surface", "volume")
 
 
@@ -178,15 +184,34 @@ def read_parts(gmsh: Any, name: str, unnamed: bool = False) -> MeshParts:
     return MeshParts(points, cells, named)
 
 
-def guard_cell_count(name: str, measure: float, element_size: float, dim: int) -> None:
-    """Refuse an element size that would give more cells than any machine at hand can hold.
+def guard_cell_count(name: str, measures: dict[int, float], size: float, shown: float) -> None:
+    """Refuse an element size that would give more cells than can be made in minutes.
+
+    Parameters
+    ----------
+    name : str
+        Name for messages.
+    measures : dict of int to float
+        Total length (1), area (2) and volume (3) of what will be meshed, in any unit of length.
+    size : float
+        Element size in the same unit.
+    shown : float
+        Element size as the user gave it [m].
 
     Raises
     ------
     MeshError
-        If about 20 million cells or more would be made.
+        If lines, triangles or tetrahedra would be more than `MAX_CELLS`.
     """
-    # A regular tetrahedron has 0.118 h^3; gmsh's are about that size on average. A triangle has 0.433 h^2.
-    count = measure / (0.118 * element_size**3 if dim == 3 else 0.433 * element_size**2)
-    if count > 2e7:
-        raise fault(name, f"element_size {element_size:g} m would give about {count:.1e} cells (at most 2e7)")
+    count = max(measure / (_SIMPLEX[dim] * size**dim) for dim, measure in measures.items())
+    if count > MAX_CELLS:
+        message = f"element_size {shown:g} m would give about {count:.1e} cells (at most {MAX_CELLS:.0e})"
+        raise fault(name, message)
+
+
+def model_measures(gmsh: Any) -> dict[int, float]:
+    """Total length, area and volume of the CAD model, for `guard_cell_count`."""
+    return {
+        dim: float(sum(gmsh.model.occ.getMass(*entity) for entity in gmsh.model.getEntities(dim)))
+        for dim in (1, 2, 3)
+    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -38,8 +39,11 @@ def import_mesh(source: FileMesh, base_dir: Path) -> tuple[Mesh, list[str]]:
     MeshError
         If the file is missing or cannot be read, filled, or reduced to two dimensions.
     """
-    path = base_dir / Path(source.file).expanduser()
     name = source.file
+    path = base_dir / name
+    if name.startswith("~"):
+        with contextlib.suppress(RuntimeError):  # a home that is not known: just a name
+            path = Path(name).expanduser()
     if path.suffix.lower() in STEP_SUFFIXES:
         check_exists(path, name)
         parts = read_step(path, name, source.element_size, source.scale)

@@ -10,7 +10,7 @@ import numpy as np
 
 from femdeform.errors import FemdeformError
 from femdeform.types import FloatArray, IntArray
-from meshes.gmsh_session import gmsh_session, guard_cell_count, read_parts
+from meshes.gmsh_session import FINEST, gmsh_session, guard_cell_count, model_measures, read_parts
 from meshes.grid_formats import numbered_parts, read_grid
 from meshes.parts import PART_SIZES, MeshParts, NamedPart, PartKind, fault
 from meshes.text_formats import read_medit, read_obj
@@ -43,6 +43,10 @@ def read_step(path: Path, name: str, element_size: float | None, scale: float) -
         share their nodes.
     """
     millimetre = 1e-3
+    text = path.read_bytes()
+    # Told here because the geometry kernel prints its complaints instead of returning them.
+    if not text.lstrip().startswith(b"ISO-10303-21") or b"END-ISO-10303-21" not in text[-4096:]:
+        raise fault(name, "not a STEP file, or cut off")
     with gmsh_session(name) as gmsh:
         # Millimetres are what CAD programs work in, and what the geometry kernel's tolerances are made for.
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
@@ -54,14 +58,12 @@ def read_step(path: Path, name: str, element_size: float | None, scale: float) -
         if len(solids) > 1:
             gmsh.model.occ.fragment(solids, [])
             gmsh.model.occ.synchronize()
-            solids = gmsh.model.getEntities(3)
         box = np.array(gmsh.model.getBoundingBox(-1, -1)).reshape(2, 3)
         size = float(np.linalg.norm(box[1] - box[0])) / 20.0
         if element_size is not None:
             size = element_size / scale / millimetre
-        volume = sum(gmsh.model.occ.getMass(*solid) for solid in solids)
-        to_user = scale * millimetre
-        guard_cell_count(name, volume * to_user**3, size * to_user, 3)
+        guard_cell_count(name, model_measures(gmsh), size, size * scale * millimetre)
+        gmsh.option.setNumber("Mesh.MeshSizeMin", FINEST * size)
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 8)
         gmsh.model.mesh.generate(3)
@@ -169,8 +171,12 @@ def read_parts_of(path: Path, name: str) -> MeshParts:
 
 def check_exists(path: Path, name: str) -> None:
     """Raise a MeshError if there is no such file."""
-    if not path.is_file():
-        raise fault(name, "is a directory, not a file" if path.is_dir() else "no such file")
+    try:
+        found, folder = path.is_file(), path.is_dir()
+    except (OSError, ValueError) as error:  # a name too long, or with characters no name can have
+        raise fault(name, f"not a file name: {error}") from None
+    if not found:
+        raise fault(name, "is a directory, not a file" if folder else "no such file")
 
 
 def as_plane(points: FloatArray, name: str) -> FloatArray:

@@ -23,7 +23,7 @@ from femdeform.scene.mesh_schema import (
 )
 from femdeform.types import FloatArray, Mesh
 from meshes.boundary import signed_measures
-from meshes.gmsh_session import gmsh_session, guard_cell_count, read_parts
+from meshes.gmsh_session import FINEST, gmsh_session, guard_cell_count, model_measures, read_parts
 from meshes.parts import MeshParts, PartKind, assemble
 from meshes.recipe_mount import rubber_mount
 from meshes.structured import SIDES
@@ -150,6 +150,7 @@ def _plate_with_hole(gmsh: Any, source: PlateWithHoleMesh) -> None:
         if math.hypot(*_box(gmsh, *point)[0, :2]) < source.radius * (1.0 + _FLAT)
     ]
     gmsh.model.mesh.setSize(corners, fine)
+    gmsh.option.setNumber("Mesh.MeshSizeMin", min(fine, FINEST * source.element_size))
 
 
 @dataclass(frozen=True)
@@ -210,20 +211,21 @@ def gmsh_recipe(source: PlacedMesh) -> Mesh:
     Raises
     ------
     MeshError
-        If gmsh cannot mesh it, or the element size would give more than 20 million cells.
+        If gmsh cannot mesh it, or the element size would give more cells than `MAX_CELLS`.
     """
     builder = _BUILDERS[type(source)]
     name = f"recipe {getattr(source, 'recipe')}"  # noqa: B009 - the base class of all recipes has none
     factor = _power_of_two(source, builder.lengths)
     scaled = source.model_copy(update={key: _times(getattr(source, key), factor) for key in builder.lengths})
-    size: float = getattr(scaled, "element_size")  # noqa: B009
+    sizes = [getattr(scaled, key, None) for key in ("element_size", "plate_element_size")]
+    size: float = min(value for value in sizes if value is not None)
     with gmsh_session(name) as gmsh:
+        gmsh.option.setNumber("Mesh.MeshSizeMin", FINEST * size)
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", _AROUND)
         builder.draw(gmsh, scaled)
         dim = max(entity for entity, _ in gmsh.model.getEntities())
-        measure = sum(gmsh.model.occ.getMass(*entity) for entity in gmsh.model.getEntities(dim))
-        guard_cell_count(name, measure / factor**dim, size / factor, dim)
+        guard_cell_count(name, model_measures(gmsh), size, size / factor)
         gmsh.model.mesh.generate(dim)
         parts = read_parts(gmsh, name)
     return assemble(_upright(parts, dim, factor), name, drop_unreferenced=True)

@@ -18,7 +18,7 @@ from femdeform.scene.mesh_schema import (
     SphereSurfaceMesh,
 )
 from femdeform.types import CellType, FloatArray, IntArray, Mesh
-from meshes.boundary import boundary_facets, unique_edges
+from meshes.boundary import all_facets, unique_edges
 
 # Names of the two ends along x, y and z.
 SIDES: tuple[tuple[str, str], ...] = (("left", "right"), ("bottom", "top"), ("back", "front"))
@@ -77,13 +77,21 @@ def _structured(
     """Split the grid over the unit cube and map it by `place`; sides and corners are named by grid index."""
     nodes, corners, parity = _grid(counts)
     cells, cell_type = _split_cells(corners, parity, split, diagonals)
-    facets = boundary_facets(cells)
-    groups: dict[str, IntArray] = {"boundary": facets}
+    ends = np.array(counts)
+    # Facets on the boundary are those whose nodes all have the same first or last index; only the outermost
+    # layer of grid cells has any.
+    low = nodes[corners[:, 0]]
+    outermost = np.any((low == 0) | (low == ends - 1), axis=1)
+    facets = all_facets(cells[np.repeat(outermost, len(cells) // len(corners))])
     of_facets = nodes[facets]
+    groups: dict[str, IntArray] = {}
+    outer = np.zeros(len(facets), dtype=np.bool_)
     for axis, count in enumerate(counts):
         for name, index in zip(sides[axis], (0, count), strict=True):
-            groups[name] = facets[np.all(of_facets[:, :, axis] == index, axis=1)]
-    ends = np.array(counts)
+            here = np.all(of_facets[:, :, axis] == index, axis=1)
+            groups[name] = facets[here]
+            outer |= here
+    groups["boundary"] = facets[outer]
     named_nodes: dict[str, IntArray] = {}
     if len(counts) > 1:
         strides = np.cumprod([1, *(ends[:-1] + 1)])

@@ -29,7 +29,7 @@ class Plane:
 
     def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signed distance and normal."""
-        return (x - self.point) @ self.normal, np.broadcast_to(self.normal, x.shape)
+        return np.asarray((x - self.point) @ self.normal), np.broadcast_to(self.normal, x.shape)
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """Zero: the plane is flat."""
@@ -56,7 +56,7 @@ class Sphere:
     def curvature(self, x: FloatArray) -> FloatArray:
         """Reciprocal distance from the centre, with the sign of the free side."""
         r = np.linalg.norm(x - self.center, axis=1)
-        return self.sign / np.maximum(r, 1e-12 * self.radius)
+        return np.asarray(self.sign / np.maximum(r, 1e-12 * self.radius))
 
 
 class Box:

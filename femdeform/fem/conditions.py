@@ -63,7 +63,7 @@ class PrescribedMotion:
         if isinstance(condition, schema.Path):
             table = np.array(condition.displacements)
             shift = np.array([np.interp(time, condition.times, column) for column in table.T])
-            return self.reference + shift
+            return np.asarray(self.reference + shift)
         stop = np.inf if condition.stop is None else condition.stop
         elapsed = max(min(time, stop) - condition.start, 0.0)
         if isinstance(condition, schema.Translate):
@@ -77,13 +77,13 @@ class PrescribedMotion:
             turned = rotate_spatial(offset, axis, angle)
             if isinstance(condition, schema.Twist):
                 turned = turned + elapsed * condition.elongation_rate * axis
-        return self.center + turned
+        return np.asarray(self.center + turned)
 
 
 def rotate_planar(vectors: FloatArray, angle: float) -> FloatArray:
     """Rotate (n, 2) vectors by an angle [rad]."""
     c, s = np.cos(angle), np.sin(angle)
-    return vectors @ np.array([[c, s], [-s, c]])
+    return np.asarray(vectors @ np.array([[c, s], [-s, c]]))
 
 
 def rotate_spatial(vectors: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
@@ -132,7 +132,9 @@ class Conditions:
         What the user should know: conditions that meet on the same nodes.
     """
 
-    def __init__(self, scene: schema.DeformableScene, meshes: Mapping[str, Mesh], discretization: Discretization) -> None:
+    def __init__(
+        self, scene: schema.DeformableScene, meshes: Mapping[str, Mesh], discretization: Discretization
+    ) -> None:
         self._discretization = discretization
         self._sets = NodeSets(meshes, discretization.bodies)
         self._meshes = dict(meshes)
@@ -194,17 +196,7 @@ class Conditions:
         return self._discretization.to_local(self.nodes(selection))
 
     def _centroid(self, nodes: IntArray) -> FloatArray:
-        points = np.empty((self._discretization.partition.n_global, self._discretization.dim))
-        for body, mesh in self._meshes.items():
-            place = self._discretization.bodies[body]
-            points[place.first : place.first + place.n_vertices] = mesh.points
-            if place.n_nodes > place.n_vertices:
-                corners = place.connectivity[:, : mesh.cells.shape[1]]
-                pairs = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)][: place.connectivity.shape[1] - corners.shape[1]]
-                for k, (a, b) in enumerate(pairs):
-                    middle = place.connectivity[:, corners.shape[1] + k]
-                    points[place.first + middle] = 0.5 * (mesh.points[corners[:, a]] + mesh.points[corners[:, b]])
-        return np.asarray(points[nodes].mean(axis=0))
+        return np.asarray(self._discretization.all_points[nodes].mean(axis=0))
 
     def _add_motion(
         self, number: int, condition: schema.Fixed | schema.Translate | schema.Rotate | schema.Twist | schema.Path

@@ -128,6 +128,8 @@ class Discretization:
         Ownership of the nodes.
     bodies : dict of str to BodyNodes
         Where each body's nodes are in the whole problem.
+    all_points : (n_global, dim) float64
+        Reference positions of the nodes of the whole problem [m].
     local_numbers : (n_global,) int64
         Local number of each node of the whole problem, -1 where this rank does not hold it.
     """
@@ -140,6 +142,7 @@ class Discretization:
     consistent_mass: Any | None
     partition: Partition
     bodies: dict[str, BodyNodes]
+    all_points: FloatArray
     local_numbers: IntArray
 
     @property
@@ -169,15 +172,15 @@ class _Elements:
     mass: FloatArray  # (n_cells, n_local, n_local), integral of N_a N_b
 
 
-# Mid-edge nodes of scikit-fem's quadratic simplices, which is also VTK's order: edges (0,1) (1,2) (0,2) (0,3) (1,3) (2,3).
-_EDGES = {"triangle": ((0, 1), (1, 2), (0, 2)), "tetra": ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))}
+# Edges in the order of the mid-edge nodes of scikit-fem's quadratic simplices, which is also VTK's.
+EDGES = {"triangle": ((0, 1), (1, 2), (0, 2)), "tetra": ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))}
 
 
 def node_connectivity(mesh: Mesh, order: int) -> tuple[FloatArray, IntArray]:
     """Return nodes (n_nodes, dim) and cells (n_cells, n_local) of a mesh's P1 or P2 space, vertices first."""
     if order == 1:
         return mesh.points, mesh.cells
-    pairs = np.array(_EDGES[mesh.cell_type])
+    pairs = np.array(EDGES[mesh.cell_type])
     edges = np.sort(mesh.cells[:, pairs], axis=2).reshape(-1, 2)
     unique, inverse = np.unique(edges, axis=0, return_inverse=True)
     middle = mesh.points[unique].mean(axis=1)
@@ -231,7 +234,9 @@ def _lump(mass: FloatArray, order: int) -> FloatArray:
     return np.asarray(diagonal * (total / diagonal.sum(axis=1))[:, None])
 
 
-def discretize(bodies: Mapping[str, BodyInput], cell_rank: Mapping[str, IntArray] | None, comm: Any | None) -> Discretization:
+def discretize(
+    bodies: Mapping[str, BodyInput], cell_rank: Mapping[str, IntArray] | None, comm: Any | None
+) -> Discretization:
     """Discretize the bodies of a scene.
 
     Parameters
@@ -277,6 +282,7 @@ def discretize(bodies: Mapping[str, BodyInput], cell_rank: Mapping[str, IntArray
         first += len(points)
 
     owner = np.concatenate(owner_of)
+    all_points = np.concatenate(points_of)
     local = np.union1d(np.concatenate(touched), np.flatnonzero(owner == rank))
     partition = Partition(owner, local, comm)
     to_local = np.full(first, -1, dtype=np.int64)
@@ -309,13 +315,14 @@ def discretize(bodies: Mapping[str, BodyInput], cell_rank: Mapping[str, IntArray
     lumped = np.ascontiguousarray(nodal[:, 0])
     return Discretization(
         dim=dim,
-        points=partition.restrict(np.concatenate(points_of)),
+        points=partition.restrict(all_points),
         groups=groups,
         lumped_mass=lumped,
         row_mass=np.ascontiguousarray(nodal[:, 1]),
         consistent_mass=_assemble_mass(consistent, lumped, bodies, nodes_of, to_local, partition),
         partition=partition,
         bodies=nodes_of,
+        all_points=all_points,
         local_numbers=to_local,
     )
 

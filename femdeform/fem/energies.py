@@ -134,7 +134,7 @@ class FollowerPressure:
             normal = np.stack([tangents[..., 1, 0], -tangents[..., 0, 0]], axis=-1)
         else:
             normal = np.cross(tangents[..., 0], tangents[..., 1])
-        return self.pressure * np.einsum("q,qa,fqc->fac", self._weights, self._shape, normal)
+        return np.asarray(self.pressure * np.einsum("q,qa,fqc->fac", self._weights, self._shape, normal))
 
     def value(self, x: FloatArray) -> float:
         """Minus the work of the pressure from the reference state to `x` [J]."""

@@ -16,7 +16,7 @@ CELL_FIELDS = ("von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"
 
 def deformation_gradients(group: ElementGroup, x: FloatArray) -> FloatArray:
     """F of every cell at every quadrature point, (n_cells, n_q, d, d)."""
-    return np.einsum("eac,eqak->eqck", x[group.cells], group.gradients, optimize=True)
+    return np.asarray(np.einsum("eac,eqak->eqck", x[group.cells], group.gradients, optimize=True))
 
 
 def jacobians(group: ElementGroup, x: FloatArray) -> FloatArray:
@@ -66,7 +66,7 @@ def _average_stress(group: ElementGroup, x: FloatArray, spatial: bool) -> FloatA
     from femdeform.materials import batch
 
     F = deformation_gradients(group, x)
-    n_cells, n_q, d, _ = F.shape
+    d = F.shape[-1]
     P = np.asarray(batch.pk1(np.ascontiguousarray(F.reshape(-1, d, d)), group.law)).reshape(F.shape)
     if spatial:
         P = P @ np.swapaxes(F, -1, -2) / np.linalg.det(F)[..., None, None]

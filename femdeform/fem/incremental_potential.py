@@ -212,6 +212,7 @@ class IncrementalPotential:
         Parameters
         ----------
         x : (n_local, dim) float64
+            Positions [m].
         project : bool
             Clamp, so that the matrix is positive definite wherever inertia or supports leave no free mode.
         free : (n_local, dim) bool, optional
@@ -257,7 +258,7 @@ class IncrementalPotential:
         )
 
     def hessian_times(self, x: FloatArray, step: FloatArray) -> FloatArray:
-        """Product of the projected Hessian, prescribed degrees of freedom included, with a node field; (n_local, dim)."""
+        """Product of the projected Hessian, prescribed degrees of freedom included, with a (n_local, dim) field."""
         import scipy.sparse
 
         everything = np.ones_like(self.free)

@@ -110,7 +110,9 @@ def cell_forces(
 
 
 @njit
-def add_blocks(H: Any, weight: Any, gradients: Any, e: Any, q: Any, dim: Any, nodes: Any, M: Any, out: Any, slot: Any) -> None:
+def add_blocks(
+    H: Any, weight: Any, gradients: Any, e: Any, q: Any, dim: Any, nodes: Any, M: Any, out: Any, slot: Any
+) -> None:
     """Add weight * grad N_a . H . grad N_b of the pairs a <= b of a cell to rows of `out` from `slot` on.
 
     M is scratch of shape (d*d, d).
@@ -196,7 +198,10 @@ def sum_blocks(
     ----------
     blocks : (n_slots, d*d)
         Blocks of all cells.
-    row_offsets, columns : CSR pattern over nodes.
+    row_offsets : (n_nodes + 1,)
+        Row offsets of the CSR pattern over nodes.
+    columns : (n_blocks,)
+        Its columns.
     offsets, entries
         For each block of the pattern the slots that add to it, as 2 * slot, plus 1 where the transpose is meant.
     diagonal : (n_nodes, d*d)
@@ -207,6 +212,8 @@ def sum_blocks(
         0 where a degree of freedom is prescribed: its row and column become those of a diagonal matrix.
     n_owned : int
         Nodes whose diagonal this rank contributes.
+    dim : tuple
+        Its length is the dimension.
     values : (n_values,)
         Result, in CSR order of the degrees of freedom.
     """
@@ -238,7 +245,7 @@ def sum_blocks(
                         values[base + c * d * n_row + m] += diagonal[i, d * c + m]
             for c in range(d):
                 for m in range(d):
-                    if free[i, c] == 0 or free[j, m] == 0:
-                        # The diagonal keeps its own size, so that scaling and preconditioners see nothing odd.
-                        if not (i == j and c == m and i < n_owned):
-                            values[base + c * d * n_row + m] = 0.0
+                    # The diagonal keeps its own size, so that scaling and preconditioners see nothing odd.
+                    keep = i == j and c == m and i < n_owned
+                    if (free[i, c] == 0 or free[j, m] == 0) and not keep:
+                        values[base + c * d * n_row + m] = 0.0

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from femdeform.fem.discretization import BodyNodes
+from femdeform.fem.discretization import EDGES, BodyNodes
 from femdeform.types import FloatArray, IntArray, Mesh
-
-_N_EDGES = {"triangle": ((0, 1), (1, 2), (0, 2)), "tetra": ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))}
 
 
 class NodeSets:
@@ -31,7 +29,7 @@ class NodeSets:
         """Sorted keys of a quadratic body's edges and the mid-edge node (in the body) of each."""
         if body not in self._edges:
             mesh, nodes = self.meshes[body], self.bodies[body]
-            pairs = np.array(_N_EDGES[mesh.cell_type])
+            pairs = np.array(EDGES[mesh.cell_type])
             edges = np.sort(nodes.connectivity[:, pairs], axis=2)
             key = (edges[..., 0] * mesh.n_points + edges[..., 1]).ravel()
             unique, first = np.unique(key, return_index=True)
@@ -69,7 +67,7 @@ class NodeSets:
         if not self.is_quadratic(body):
             return first + facets
         k = facets.shape[1]
-        pairs = [(0, 1)] if k == 2 else [(0, 1), (1, 2), (0, 2)]
+        pairs = [(0, 1)] if k == 2 else EDGES["triangle"]
         middle = np.stack([self._middle(body, facets[:, list(pair)]) for pair in pairs], axis=1)
         return first + np.concatenate([facets, middle], axis=1)
 

@@ -88,7 +88,8 @@ def law_for(material: MaterialModel, dim: int) -> Law:
     material : MaterialModel
         A material of `femdeform.scene.schema`, or anything with the same three attributes.
     dim : int
-        3, or 2 for plane strain. Membranes and rods use the three-dimensional law whatever the space they live in.
+        3, or 2 for plane strain. Membranes and rods use the three-dimensional law whatever the space they
+        live in.
 
     Returns
     -------
@@ -109,7 +110,7 @@ def law_for(material: MaterialModel, dim: int) -> Law:
 
 
 def supports_codimension(law: Law) -> bool:
-    """Tell whether a law can serve membranes and rods: whether it is a function of the principal stretches."""
+    """Tell whether a law can serve membranes and rods: whether it is one of the principal stretches."""
     from femdeform.materials.dispatch import kernels_of
 
     return kernels_of(type(law), 3).energy_from_stretches is not None
@@ -120,4 +121,4 @@ def with_precision(law: Law, dtype: Any) -> Law:
     import numpy as np
 
     scalar = np.dtype(dtype).type
-    return type(law)(*(scalar(value) for value in cast("tuple[float, ...]", law)))  # type: ignore[call-arg]
+    return type(law)(*(scalar(value) for value in cast("tuple[float, ...]", law)))

@@ -24,19 +24,20 @@ from femdeform.materials.small_matrix import (
 class ARAP(NamedTuple):
     """Psi = mu |F - R|^2 with the rotation R of F = R S; P = 2 mu (F - R).
 
-    At rest it agrees with linear elasticity (mu, 0): the second Lame parameter of the user is not used and the field
-    ``lmbda`` is 0. Some authors write mu/2 |F - R|^2, which is half as stiff. In 2D, plane strain.
+    At rest it agrees with linear elasticity (mu, 0): the second Lame parameter of the user is not used and
+    the field ``lmbda`` is 0. Some authors write mu/2 |F - R|^2, which is half as stiff. In 2D, plane strain.
 
     References
     ----------
-    O. Sorkine, M. Alexa, "As-rigid-as-possible surface modeling", Symposium on Geometry Processing, 2007.
-    I. Chao, U. Pinkall, P. Sanan, P. Schroeder, "A simple geometric model for elastic deformations", ACM Transactions on
-    Graphics 29(4), 2010.
+    O. Sorkine, M. Alexa, "As-rigid-as-possible surface modeling", Symposium on Geometry Processing, 2007. I.
+    Chao, U. Pinkall, P. Sanan, P. Schroeder, "A simple geometric model for elastic deformations", ACM
+    Transactions on Graphics 29(4), 2010.
 
     Limitations
     -----------
-    No resistance to volume change beyond that of shape, no lateral contraction. R jumps, and stress with it, where the
-    sum of the two smallest signed stretches vanishes; there the twist stiffness is cut off at s_i + s_j = 1e-6.
+    No resistance to volume change beyond that of shape, no lateral contraction. R jumps, and stress with it,
+    where the sum of the two smallest signed stretches vanishes; there the twist stiffness is cut off at s_i +
+    s_j = 1e-6.
     """
 
     mu: float

@@ -14,7 +14,7 @@ from femdeform.materials.dispatch import Law
 FloatArray = NDArray[Any]
 
 
-# ------------------------------------------------------------------------------------------------- drivers
+# ---------------------------------------------------------------------------------------- drivers
 
 
 @njit
@@ -69,7 +69,7 @@ def _tangents_3d(F: FloatArray, law: Law, project: bool, result: FloatArray) -> 
         dispatch.tangent(load_3d(F, e), law, project, result[e])
 
 
-# ------------------------------------------------------------------------------------------------- arrays
+# ---------------------------------------------------------------------------------------- arrays
 
 
 def _flat(F: ArrayLike, law: Law) -> tuple[FloatArray, int, Law]:

@@ -25,19 +25,19 @@ from femdeform.materials.small_matrix import (
 class Corotated(NamedTuple):
     """Psi = mu |S - I|^2 + lambda/2 (tr S - d)^2 with F = R S; P = 2 mu (F - R) + lambda (tr S - d) R.
 
-    Linear elasticity of the stretch tensor: agrees with linear elasticity (mu, lambda) at rest and is exact for any
-    rotation. In 2D, plane strain: the 3D law at diag(F, 1).
+    Linear elasticity of the stretch tensor: agrees with linear elasticity (mu, lambda) at rest and is exact
+    for any rotation. In 2D, plane strain: the 3D law at diag(F, 1).
 
     References
     ----------
-    M. Mueller, M. Gross, "Interactive virtual materials", Graphics Interface, 2004, in the hyperelastic form of
-    A. McAdams et al., "Efficient elasticity for character skinning with contact and collisions", ACM Transactions on
-    Graphics 30(4), 2011.
+    M. Mueller, M. Gross, "Interactive virtual materials", Graphics Interface, 2004, in the hyperelastic form
+    of A. McAdams et al., "Efficient elasticity for character skinning with contact and collisions", ACM
+    Transactions on Graphics 30(4), 2011.
 
     Limitations
     -----------
-    Volume is only resisted to first order: tr S - d is not J - 1. R jumps, and stress with it, where the sum of the two
-    smallest signed stretches vanishes; there the twist stiffness is cut off at s_i + s_j = 1e-6.
+    Volume is only resisted to first order: tr S - d is not J - 1. R jumps, and stress with it, where the sum
+    of the two smallest signed stretches vanishes; there the twist stiffness is cut off at s_i + s_j = 1e-6.
     """
 
     mu: float

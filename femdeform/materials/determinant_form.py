@@ -1,8 +1,9 @@
-"""What the laws Psi = (function of |F|^2) + g(J) share: the neo-Hookean family and, in part, the fixed corotated law.
+"""What the laws Psi = (function of |F|^2) + g(J) share.
 
-Their stress is m F + g' cof F and their tangent m I + e F F^T + g'' cof cof^T + g' d2J/dF2, with numbers m and e that
-depend on the law (e = 0 but for the stable neo-Hookean law): no singular value decomposition is needed, and F may be
-singular or inverted wherever g is defined.
+These are the neo-Hookean family and, in part, the fixed corotated law. Their stress is m F + g' cof F and
+their tangent m I + e F F^T + g'' cof cof^T + g' d2J/dF2, with numbers m and e that depend on the law (e = 0
+but for the stable neo-Hookean law): no singular value decomposition is needed, and F may be singular or
+inverted wherever g is defined.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from femdeform.jit import ORDERED, njit
 from femdeform.materials.isotropic import write_block_pair_3d, write_diagonal_block_3d, write_symmetric_2d
 from femdeform.materials.small_matrix import Matrix2, Matrix3, Symmetric2, Symmetric3, Vector2, Vector3
 
-# ------------------------------------------------------------------------------------------------- invariants
+# ---------------------------------------------------------------------------------------- invariants
 
 
 @njit(fastmath=ORDERED)
@@ -35,7 +36,7 @@ def stretch_invariants_3d(s: Vector3) -> tuple[float, float, float]:
     return (a + b + c) + rest, a * a + b * b + c * c, rest
 
 
-# ------------------------------------------------------------------------------------------------- stress
+# ---------------------------------------------------------------------------------------- stress
 
 
 @njit
@@ -60,20 +61,23 @@ def combination_3d(a: float, A: Matrix3, b: float, B: Matrix3) -> Matrix3:
     )
 
 
-# ------------------------------------------------------------------------------------------------- exact tangents
+# ---------------------------------------------------------------------------------------- exact tangents
 
 
 @njit
-def determinant_tangent_2d(
-    F: Matrix2, C: Matrix2, m: float, e: float, g1: float, g2: float, H: NDArray[Any]
-) -> None:
+def determinant_tangent_2d(F: Matrix2, C: Matrix2, m: float, e: float, g1: float, g2: float, H: NDArray[Any]) -> None:
     """Write m I + e F F^T + g2 C C^T + g1 d2J/dF2 into the 4x4 array H; C is the cofactor matrix of F."""
     a0, a1, a2, a3 = e * F[0], e * F[1], e * F[2], e * F[3]
     b0, b1, b2, b3 = g2 * C[0], g2 * C[1], g2 * C[2], g2 * C[3]
     write_symmetric_2d(
         H,
         (m + a0 * F[0] + b0 * C[0], m + a1 * F[1] + b1 * C[1], a0 * F[1] + b0 * C[1]),
-        (a0 * F[2] + b0 * C[2], a0 * F[3] + b0 * C[3] + g1, a1 * F[2] + b1 * C[2] - g1, a1 * F[3] + b1 * C[3]),
+        (
+            a0 * F[2] + b0 * C[2],
+            a0 * F[3] + b0 * C[3] + g1,
+            a1 * F[2] + b1 * C[2] - g1,
+            a1 * F[3] + b1 * C[3],
+        ),
         (m + a2 * F[2] + b2 * C[2], m + a3 * F[3] + b3 * C[3], a2 * F[3] + b2 * C[3]),
     )
 
@@ -111,12 +115,11 @@ def _off_diagonal_block(e: float, f: Vector3, h: Vector3, g2: float, c: Vector3,
 
 
 @njit
-def determinant_tangent_3d(
-    F: Matrix3, C: Matrix3, m: float, e: float, g1: float, g2: float, H: NDArray[Any]
-) -> None:
+def determinant_tangent_3d(F: Matrix3, C: Matrix3, m: float, e: float, g1: float, g2: float, H: NDArray[Any]) -> None:
     """Write m I + e F F^T + g2 C C^T + g1 d2J/dF2 into the 9x9 array H; C is the cofactor matrix of F.
 
-    d2J/dF_ab dF_cd = eps_ace eps_bdf F_ef: the block of rows a and c is the skew matrix of the third row of F.
+    d2J/dF_ab dF_cd = eps_ace eps_bdf F_ef: the block of rows a and c is the skew matrix of the third row of
+    F.
     """
     f, h, k = (F[0], F[1], F[2]), (F[3], F[4], F[5]), (F[6], F[7], F[8])
     c, d, q = (C[0], C[1], C[2]), (C[3], C[4], C[5]), (C[6], C[7], C[8])
@@ -131,12 +134,12 @@ def determinant_tangent_3d(
     write_block_pair_3d(H, 3, 6, _off_diagonal_block(e, h, k, g2, d, q, third))
 
 
-# ------------------------------------------------------------------------------------------------- definiteness
+# ---------------------------------------------------------------------------------------- definiteness
 
 
 @njit
 def is_surely_convex_2d(m: float, g1: float, g2: float) -> bool:
-    """Tell whether m I + g2 C C^T + g1 d2J/dF2 (2D) is positive semi-definite for a reason that is cheap to see.
+    """Tell whether m I + g2 C C^T + g1 d2J/dF2 is positive semi-definite, for a reason cheap to see (2D).
 
     d2J/dF2 has the eigenvalues 1, 1, -1, -1.
     """
@@ -145,14 +148,14 @@ def is_surely_convex_2d(m: float, g1: float, g2: float) -> bool:
 
 @njit
 def is_surely_convex_3d(F: Matrix3, J: float, m: float, g1: float, g2: float) -> bool:
-    """Tell whether m I + g2 C C^T + g1 d2J/dF2 (3D) is positive semi-definite for a reason that is cheap to see.
+    """Tell whether m I + g2 C C^T + g1 d2J/dF2 is positive semi-definite, for a reason cheap to see (3D).
 
     The modes are: twist m + g1 s_k, flip m - g1 s_k, and a scaling block. Let J > 0, so that all s_k > 0.
 
     - g1 < 0: flips are positive; twists are if -g1 s_0 <= m, with s_0 bounded by trace and norm of F^T F (Wolkowicz
-      and Styan 1980). The scaling block is diag(m - g1 c_i^2 / J) + (g2 + g1 / J) c c^T with c_i = J / s_i, which is
-      positive if -(g2 + g1 / J) times sum c_i^2 / (m - g1 c_i^2 / J) <= 1; that sum is below -3 J / g1, so
-      3 J g2 >= -2 g1 is enough.
+      and Styan 1980). The scaling block is diag(m - g1 c_i^2 / J) + (g2 + g1 / J) c c^T with c_i = J / s_i,
+      which is positive if -(g2 + g1 / J) times sum c_i^2 / (m - g1 c_i^2 / J) <= 1; that sum is below -3 J /
+      g1, so 3 J g2 >= -2 g1 is enough.
     - g1 >= 0: no eigenvalue of d2J/dF2 is below -|F|, so g1 |F| <= m and g2 >= 0 are enough.
     """
     if not J > 0.0:
@@ -163,7 +166,7 @@ def is_surely_convex_3d(F: Matrix3, J: float, m: float, g1: float, g2: float) ->
         F[2] * F[2] + F[5] * F[5] + F[8] * F[8],
     )
     if g1 >= 0.0:
-        return g2 >= 0.0 and g1 * g1 * (xx + yy + zz) <= m * m
+        return g2 >= 0.0 and g1 * g1 * (xx + yy + zz) <= 4.0 * m * m
     if 3.0 * J * g2 < -2.0 * g1:
         return False
     xy, yz, zx = (
@@ -176,7 +179,7 @@ def is_surely_convex_3d(F: Matrix3, J: float, m: float, g1: float, g2: float) ->
     return g1 * g1 * (mean + math.sqrt(deviation * (2.0 / 3.0))) <= m * m
 
 
-# ------------------------------------------------------------------------------------------------- in stretches
+# ---------------------------------------------------------------------------------------- in stretches
 
 
 @njit
@@ -190,9 +193,7 @@ def determinant_modes_2d(
 
 
 @njit
-def determinant_modes_3d(
-    s: Vector3, m: float, e: float, g1: float, g2: float
-) -> tuple[Symmetric3, Vector3, Vector3]:
+def determinant_modes_3d(s: Vector3, m: float, e: float, g1: float, g2: float) -> tuple[Symmetric3, Vector3, Vector3]:
     """Return hessian, twist and flip (see `dispatch.stretch_derivatives`) of the terms described above."""
     a, b, c = s
     bc, ca, ab = b * c, c * a, a * b

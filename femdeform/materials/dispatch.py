@@ -1,9 +1,9 @@
-"""The functions every compiled driver calls on a law: numba picks the law's own scalar kernel at compile time.
+"""What compiled drivers call on a law: numba picks the law's own scalar kernel at compile time.
 
-A law is a `NamedTuple` of its parameters. numba types a named tuple by its class, so a driver that takes ``law`` as an
-argument is specialised, and kept on disk, per law; there is no table, pointer or branch left at run time. The dimension
-follows from the length of ``F``: 9 in 3D, 4 in 2D (plane strain), row-major. Called from Python, the same functions
-evaluate one ``F``.
+A law is a `NamedTuple` of its parameters. numba types a named tuple by its class, so a driver that takes
+``law`` as an argument is specialised, and kept on disk, per law; there is no table, pointer or branch left at
+run time. The dimension follows from the length of ``F``: 9 in 3D, 4 in 2D (plane strain), row-major. Called
+from Python, the same functions evaluate one ``F``.
 
 A new law is a module with such a class and its scalar kernels, handed to `register`.
 """
@@ -20,7 +20,7 @@ from femdeform.jit import TypingError, extending, types
 
 
 class Law(Protocol):
-    """What every law offers: a named tuple whose first two fields are the Lame parameters of linear elasticity [Pa]."""
+    """What every law offers: a named tuple that begins with the Lame parameters at rest [Pa]."""
 
     @property
     def mu(self) -> float:
@@ -40,7 +40,7 @@ class Law(Protocol):
 
 @dataclass(frozen=True)
 class Kernels:
-    """Compiled scalar functions of one law in one dimension; None for those in stretches where there are none."""
+    """Compiled scalar functions of one law in one dimension; those in stretches may be missing."""
 
     energy_density: Callable[..., Any]
     pk1: Callable[..., Any]
@@ -94,7 +94,7 @@ def _at_compile_time(name: str, argument: Any, law: Any, dims: dict[int, int]) -
         raise TypingError(str(error)) from None
 
 
-# ------------------------------------------------------------------------------------------------- energy density
+# ---------------------------------------------------------------------------------------- energy density
 
 
 def energy_density(F: Sequence[float], law: Law) -> float:
@@ -120,7 +120,7 @@ def _energy_density(F: Any, law: Any) -> Any:
     return implementation
 
 
-# ------------------------------------------------------------------------------------------------- stress
+# ---------------------------------------------------------------------------------------- stress
 
 
 def pk1(F: Sequence[float], law: Law) -> tuple[float, ...]:
@@ -138,7 +138,7 @@ def _pk1(F: Any, law: Any) -> Any:
     return implementation
 
 
-# ------------------------------------------------------------------------------------------------- tangent
+# ---------------------------------------------------------------------------------------- tangent
 
 
 def tangent(F: Sequence[float], law: Law, project: bool, H: NDArray[Any]) -> None:
@@ -168,13 +168,14 @@ def _tangent(F: Any, law: Any, project: Any, H: Any) -> Any:
     return implementation
 
 
-# ------------------------------------------------------------------------------------------------- in stretches
+# ---------------------------------------------------------------------------------------- in stretches
 
 
 def energy_from_stretches(s: Sequence[float], law: Law) -> float:
     """Return the energy density of diag(s) [J/m^3]; s are signed principal stretches in any order.
 
-    Membranes call it with ``(s0, s1, 1)``, rods with ``(s0, 1, 1)``: the three-dimensional law with the thickness kept.
+    Membranes call it with ``(s0, s1, 1)``, rods with ``(s0, 1, 1)``: the three-dimensional law with the
+    thickness kept.
     """
     return cast(float, _select(type(law), "energy_from_stretches", _DIM_OF_STRETCHES[len(s)])(s, law))
 
@@ -189,8 +190,8 @@ def _energy_from_stretches(s: Any, law: Any) -> Any:
     return implementation
 
 
-def stretch_derivatives(s: Sequence[float], law: Law) -> tuple[tuple[float, ...], ...]:
-    """Return (gradient, hessian, twist, flip): all an isotropic tangent is made of, without a division by s_i - s_j.
+def stretch_derivatives(s: Sequence[float], law: Law) -> Any:
+    """Return (gradient, hessian, twist, flip), free of divisions by s_i - s_j: all a tangent is made of.
 
     Parameters
     ----------
@@ -210,10 +211,7 @@ def stretch_derivatives(s: Sequence[float], law: Law) -> tuple[tuple[float, ...]
     flip : tuple of 3 or 1 floats
         (psi_i - psi_j) / (s_i - s_j) for the same pairs [Pa].
     """
-    return cast(
-        "tuple[tuple[float, ...], ...]",
-        _select(type(law), "stretch_derivatives", _DIM_OF_STRETCHES[len(s)])(s, law),
-    )
+    return _select(type(law), "stretch_derivatives", _DIM_OF_STRETCHES[len(s)])(s, law)
 
 
 @extending.overload(stretch_derivatives)

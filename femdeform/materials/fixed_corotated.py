@@ -36,18 +36,18 @@ from femdeform.materials.small_matrix import (
 class FixedCorotated(NamedTuple):
     """Psi = mu |F - R|^2 + lambda/2 (J - 1)^2 with the rotation R of F = R S.
 
-    P = 2 mu (F - R) + lambda (J - 1) cof F. Agrees with linear elasticity (mu, lambda) at rest. In 2D, plane strain: the
-    3D law at diag(F, 1).
+    P = 2 mu (F - R) + lambda (J - 1) cof F. Agrees with linear elasticity (mu, lambda) at rest. In 2D, plane
+    strain: the 3D law at diag(F, 1).
 
     References
     ----------
-    A. Stomakhin, R. Howes, C. Schroeder, J. Teran, "Energetically consistent invertible elasticity", Symposium on
-    Computer Animation, 2012.
+    A. Stomakhin, R. Howes, C. Schroeder, J. Teran, "Energetically consistent invertible elasticity",
+    Symposium on Computer Animation, 2012.
 
     Limitations
     -----------
-    Finite for J <= 0: elements may invert and recover. R jumps, and stress with it, where the sum of the two smallest
-    signed stretches vanishes; there the twist stiffness is cut off at s_i + s_j = 1e-6.
+    Finite for J <= 0: elements may invert and recover. R jumps, and stress with it, where the sum of the two
+    smallest signed stretches vanishes; there the twist stiffness is cut off at s_i + s_j = 1e-6.
     """
 
     mu: float
@@ -104,9 +104,7 @@ def pk1_3d(F: Matrix3, law: FixedCorotated) -> Matrix3:
 
 
 @njit
-def stretch_derivatives_2d(
-    s: Vector2, law: FixedCorotated
-) -> tuple[Vector2, Symmetric2, tuple[float], tuple[float]]:
+def stretch_derivatives_2d(s: Vector2, law: FixedCorotated) -> tuple[Vector2, Symmetric2, tuple[float], tuple[float]]:
     """Return (gradient, hessian, twist, flip); see `dispatch.stretch_derivatives`."""
     k = 2.0 * law.mu
     x, _, _ = stretch_invariants_2d(s)

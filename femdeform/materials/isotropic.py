@@ -1,9 +1,10 @@
 """Tangent of any isotropic law from its derivatives with respect to the principal stretches.
 
-With F = U diag(s) V^T the tangent of an isotropic law has, in the rotated basis u_i v_j^T, a scaling block A_ij on the
-diagonal directions and, for each pair (i, j), two modes across: twist, U (e_j e_i^T - e_i e_j^T) V^T / sqrt 2 with
-eigenvalue (psi_i + psi_j) / (s_i + s_j), and flip, U (e_i e_j^T + e_j e_i^T) V^T / sqrt 2 with
-eigenvalue (psi_i - psi_j) / (s_i - s_j). Projection clamps these values; no 9x9 eigenproblem is ever solved.
+With F = U diag(s) V^T the tangent of an isotropic law has, in the rotated basis u_i v_j^T, a scaling block
+A_ij on the diagonal directions and, for each pair (i, j), two modes across: twist, U (e_j e_i^T - e_i e_j^T)
+V^T / sqrt 2 with eigenvalue (psi_i + psi_j) / (s_i + s_j), and flip, U (e_i e_j^T + e_j e_i^T) V^T / sqrt 2
+with eigenvalue (psi_i - psi_j) / (s_i - s_j). Projection clamps these values; no 9x9 eigenproblem is ever
+solved.
 
 References
 ----------
@@ -36,7 +37,7 @@ _SMALLEST_SUM = 1.0e-6
 
 @njit
 def guarded_sum(a: float, b: float) -> float:
-    """Return a + b, kept away from 0: s_i + s_j = 0 is where the polar rotation jumps and a twist value is infinite."""
+    """Return a + b, kept away from 0, where the polar rotation jumps and a twist value is infinite."""
     total = a + b
     if abs(total) < _SMALLEST_SUM:
         return _SMALLEST_SUM if total >= 0.0 else -_SMALLEST_SUM
@@ -49,7 +50,7 @@ def clamp(value: float) -> float:
     return 0.0 if value < 0.0 else value
 
 
-# ------------------------------------------------------------------------------------------------- 3D
+# ---------------------------------------------------------------------------------------- 3D
 
 
 @njit
@@ -149,7 +150,11 @@ def assemble_modes_3d(
     (flip - twist) / 2. Blocks are summed over the columns of V first, then over those of U.
     """
     u, v, w = (V[0], V[3], V[6]), (V[1], V[4], V[7]), (V[2], V[5], V[8])
-    self12, self20, self01 = 0.5 * (flip[0] + twist[0]), 0.5 * (flip[1] + twist[1]), 0.5 * (flip[2] + twist[2])
+    self12, self20, self01 = (
+        0.5 * (flip[0] + twist[0]),
+        0.5 * (flip[1] + twist[1]),
+        0.5 * (flip[2] + twist[2]),
+    )
     P = _sum_of_squares(hessian[0], u, self01, v, self20, w)
     Q = _sum_of_squares(self01, u, hessian[1], v, self12, w)
     R = _sum_of_squares(self20, u, self12, v, hessian[2], w)
@@ -177,7 +182,7 @@ def isotropic_tangent_3d(F: Matrix3, law: Law, project: bool, H: NDArray[Any]) -
     assemble_modes_3d(U, V, hessian, twist, flip, H)
 
 
-# ------------------------------------------------------------------------------------------------- 2D
+# ---------------------------------------------------------------------------------------- 2D
 
 
 @njit
@@ -193,9 +198,7 @@ def write_symmetric_2d(H: NDArray[Any], A: Symmetric2, B: Matrix2, C: Symmetric2
 
 
 @njit
-def assemble_modes_2d(
-    U: Matrix2, V: Matrix2, hessian: Symmetric2, twist: float, flip: float, H: NDArray[Any]
-) -> None:
+def assemble_modes_2d(U: Matrix2, V: Matrix2, hessian: Symmetric2, twist: float, flip: float, H: NDArray[Any]) -> None:
     """Write the 4x4 tangent with the given rotations and modes into H; see `assemble_modes_3d`."""
     own, other = 0.5 * (flip + twist), 0.5 * (flip - twist)
     c, s = V[0], V[2]

@@ -23,8 +23,8 @@ class Linear(NamedTuple):
 
     Limitations
     -----------
-    For small strains and small rotations: a rigid rotation costs energy and inflates the body. Not a function of the
-    principal stretches of F, so it has no meaning for membranes and rods in space.
+    For small strains and small rotations: a rigid rotation costs energy and inflates the body. Not a function
+    of the principal stretches of F, so it has no meaning for membranes and rods in space.
     """
 
     mu: float

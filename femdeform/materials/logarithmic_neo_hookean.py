@@ -39,19 +39,19 @@ from femdeform.materials.small_matrix import (
 class LogarithmicNeoHookean(NamedTuple):
     """Psi = mu/2 (|F|^2 - d) - mu ln J + lambda/2 (ln J)^2, for J > 0 only.
 
-    P = mu F + g' cof F with g' = (lambda ln J - mu) / J. Agrees with linear elasticity (mu, lambda) at rest. The same
-    formula holds in 2D, which is plane strain: the 3D law at diag(F, 1).
+    P = mu F + g' cof F with g' = (lambda ln J - mu) / J. Agrees with linear elasticity (mu, lambda) at rest.
+    The same formula holds in 2D, which is plane strain: the 3D law at diag(F, 1).
 
     References
     ----------
-    J. Bonet, R. D. Wood, "Nonlinear Continuum Mechanics for Finite Element Analysis", Cambridge University Press, 2nd
-    edition, 2008, section 6.4.3.
+    J. Bonet, R. D. Wood, "Nonlinear Continuum Mechanics for Finite Element Analysis", Cambridge University
+    Press, 2nd edition, 2008, section 6.4.3.
 
     Limitations
     -----------
-    For J <= 0 the energy density is inf and stress and tangent are not numbers: a solver has to keep J > 0, for example
-    by a line search that refuses an infinite energy. The energy grows without bound as J -> 0, so elements never invert,
-    but the volume term loses convexity for ln J > 1 + mu/lambda.
+    For J <= 0 the energy density is inf and stress and tangent are not numbers: a solver has to keep J > 0,
+    for example by a line search that refuses an infinite energy. The energy grows without bound as J -> 0, so
+    elements never invert, but the volume term loses convexity for ln J > 1 + mu/lambda.
     """
 
     mu: float

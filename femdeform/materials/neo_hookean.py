@@ -38,18 +38,19 @@ from femdeform.materials.small_matrix import (
 class NeoHookean(NamedTuple):
     """Psi = mu/2 (|F|^2 - d) - mu (J - 1) + lambda^/2 (J - 1)^2 with lambda^ = lambda + mu.
 
-    The constant lambda^ makes the law agree with linear elasticity (mu, lambda) at rest; up to a constant the energy is
-    mu/2 |F|^2 + lambda^/2 (J - 1 - mu/lambda^)^2. P = mu F + (lambda^ (J - 1) - mu) cof F. The same formula holds in 2D,
-    which is plane strain: the 3D law at diag(F, 1).
+    The constant lambda^ makes the law agree with linear elasticity (mu, lambda) at rest; up to a constant the
+    energy is mu/2 |F|^2 + lambda^/2 (J - 1 - mu/lambda^)^2. P = mu F + (lambda^ (J - 1) - mu) cof F. The same
+    formula holds in 2D, which is plane strain: the 3D law at diag(F, 1).
 
     References
     ----------
-    M. Macklin, M. Mueller, "A constraint-based formulation of stable neo-Hookean materials", Motion, Interaction and
-    Games, 2021.
+    M. Macklin, M. Mueller, "A constraint-based formulation of stable neo-Hookean materials", Motion,
+    Interaction and Games, 2021.
 
     Limitations
     -----------
-    Finite for J <= 0: elements may invert under large forces, and recover. Volume change costs a finite energy at J = 0.
+    Finite for J <= 0: elements may invert under large forces, and recover. Volume change costs a finite
+    energy at J = 0.
     """
 
     mu: float
@@ -111,9 +112,7 @@ def pk1_3d(F: Matrix3, law: NeoHookean) -> Matrix3:
 
 
 @njit
-def stretch_derivatives_2d(
-    s: Vector2, law: NeoHookean
-) -> tuple[Vector2, Symmetric2, tuple[float], tuple[float]]:
+def stretch_derivatives_2d(s: Vector2, law: NeoHookean) -> tuple[Vector2, Symmetric2, tuple[float], tuple[float]]:
     """Return (gradient, hessian, twist, flip); see `dispatch.stretch_derivatives`."""
     x, _, _ = stretch_invariants_2d(s)
     g1 = law.lmbda_hat * x - law.mu

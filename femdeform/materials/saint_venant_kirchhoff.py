@@ -22,24 +22,27 @@ from femdeform.materials.small_matrix import (
     Symmetric3,
     Vector2,
     Vector3,
+    is_surely_definite_2d,
+    is_surely_definite_3d,
 )
 
 
 class SaintVenantKirchhoff(NamedTuple):
     """Psi = mu |E|^2 + lambda/2 (tr E)^2 with the Green strain E = (F^T F - I)/2.
 
-    P = F S with S = 2 mu E + lambda tr(E) I. Exact for any rotation; linear elasticity (mu, lambda) at rest. In 2D,
-    plane strain: the 3D law at diag(F, 1).
+    P = F S with S = 2 mu E + lambda tr(E) I. Exact for any rotation; linear elasticity (mu, lambda) at rest.
+    In 2D, plane strain: the 3D law at diag(F, 1).
 
     References
     ----------
-    J. Bonet, R. D. Wood, "Nonlinear Continuum Mechanics for Finite Element Analysis", Cambridge University Press, 2nd
-    edition, 2008, section 6.3.
+    J. Bonet, R. D. Wood, "Nonlinear Continuum Mechanics for Finite Element Analysis", Cambridge University
+    Press, 2nd edition, 2008, section 6.3.
 
     Limitations
     -----------
-    For small strains: under uniaxial compression the stress falls back to zero as the stretch goes from 1/sqrt 3 to 0,
-    so strongly compressed elements collapse and invert, and an inverted element is as much at rest as a straight one.
+    For small strains: under uniaxial compression the stress falls back to zero as the stretch goes from
+    1/sqrt 3 to 0, so strongly compressed elements collapse and invert, and an inverted element is as much at
+    rest as a straight one.
     """
 
     mu: float
@@ -51,7 +54,7 @@ class SaintVenantKirchhoff(NamedTuple):
         return cls(mu, lmbda)
 
 
-# ------------------------------------------------------------------------------------------------- 3D
+# ---------------------------------------------------------------------------------------- 3D
 
 
 @njit(fastmath=ORDERED)
@@ -112,9 +115,7 @@ def energy_from_stretches_3d(s: Vector3, law: SaintVenantKirchhoff) -> float:
 
 
 @njit
-def stretch_derivatives_3d(
-    s: Vector3, law: SaintVenantKirchhoff
-) -> tuple[Vector3, Symmetric3, Vector3, Vector3]:
+def stretch_derivatives_3d(s: Vector3, law: SaintVenantKirchhoff) -> tuple[Vector3, Symmetric3, Vector3, Vector3]:
     """Return (gradient, hessian, twist, flip); see `dispatch.stretch_derivatives`."""
     mu, lmbda = law.mu, law.lmbda
     a, b, c = s
@@ -167,16 +168,13 @@ def _cross_block(f: Vector3, h: Vector3, law: SaintVenantKirchhoff) -> Matrix3:
 def tangent_3d(F: Matrix3, law: SaintVenantKirchhoff, project: bool, H: NDArray[Any]) -> None:
     """Write the tangent into H; see `dispatch.tangent`.
 
-    H_abcd = delta_ac S_bd + mu (F_ad F_cb + (F F^T)_ac delta_bd) + lambda F_ab F_cd; all but the first term is always
-    positive semi-definite, so a tensile S needs no projection.
+    H_abcd = delta_ac S_bd + mu (F_ad F_cb + (F F^T)_ac delta_bd) + lambda F_ab F_cd; all but the first term
+    is always positive semi-definite, so a tensile S needs no projection.
     """
     S = _second_piola_3d(F, law)
-    if project:
-        minor = S[0] * S[1] - S[5] * S[5]
-        det = S[2] * minor - S[3] * (S[0] * S[3] - S[5] * S[4]) + S[4] * (S[5] * S[3] - S[1] * S[4])
-        if not (S[0] > 0.0 and minor > 0.0 and det > 0.0):
-            isotropic_tangent_3d(F, law, True, H)
-            return
+    if project and not is_surely_definite_3d(S):
+        isotropic_tangent_3d(F, law, True, H)
+        return
     f, h, k = (F[0], F[1], F[2]), (F[3], F[4], F[5]), (F[6], F[7], F[8])
     write_diagonal_block_3d(H, 0, _own_block(f, S, law))
     write_diagonal_block_3d(H, 3, _own_block(h, S, law))
@@ -186,7 +184,7 @@ def tangent_3d(F: Matrix3, law: SaintVenantKirchhoff, project: bool, H: NDArray[
     write_block_pair_3d(H, 3, 6, _cross_block(h, k, law))
 
 
-# ------------------------------------------------------------------------------------------------- 2D
+# ---------------------------------------------------------------------------------------- 2D
 
 
 @njit(fastmath=ORDERED)
@@ -256,7 +254,7 @@ def stretch_derivatives_2d(
 def tangent_2d(F: Matrix2, law: SaintVenantKirchhoff, project: bool, H: NDArray[Any]) -> None:
     """Write the tangent into H; see `tangent_3d`."""
     S = _second_piola_2d(F, law)
-    if project and not (S[0] > 0.0 and S[0] * S[1] - S[2] * S[2] > 0.0):
+    if project and not is_surely_definite_2d(S):
         isotropic_tangent_2d(F, law, True, H)
         return
     mu, lmbda = law.mu, law.lmbda

@@ -1,8 +1,9 @@
 """Algebra of 2x2 and 3x3 matrices for compiled kernels: matrices are flat, row-major tuples of floats.
 
-Tuples live in registers: nothing here allocates. A 3x3 matrix is ``(A00, A01, A02, A10, ..., A22)``; a symmetric
-matrix is ``(S00, S11, S22, S12, S02, S01)`` in 3D and ``(S00, S11, S01)`` in 2D. Nan in gives nan out, and every
-iteration is bounded. Matrices of norm 1e-70 to 1e70 keep their relative accuracy. Literals are float64, so float32 input is computed in float64 where it is mixed with them.
+Tuples live in registers: nothing here allocates. A 3x3 matrix is ``(A00, A01, A02, A10, ..., A22)``; a
+symmetric matrix is ``(S00, S11, S22, S12, S02, S01)`` in 3D and ``(S00, S11, S01)`` in 2D. Nan in gives nan
+out, and every iteration is bounded. Matrices of norm 1e-70 to 1e70 keep their relative accuracy. Literals are
+float64, so float32 input is computed in float64 where it is mixed with them.
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ Columns3: TypeAlias = tuple[Vector3, Vector3, Vector3]
 
 # Cosine between two columns below which they count as orthogonal, squared.
 _ORTHOGONAL = (4.0e-15) ** 2
+_DEFINITE = 1.0e-10
 _MAX_SWEEPS = 12
-# Where the square of a squared matrix underflows: a matrix of norm below 1e-70 counts as 0 in absolute terms.
-_TINY = 1.0e-280
+# A length below this counts as 0: its square would lose digits to underflow.
+_TINY = 1.0e-140
 
 
-# ------------------------------------------------------------------------------------------------- invariants
+# ---------------------------------------------------------------------------------------- invariants
 
 
 @njit
@@ -40,11 +42,7 @@ def det_2d(F: Matrix2) -> float:
 @njit
 def det_3d(F: Matrix3) -> float:
     """Return the determinant of a 3x3 matrix."""
-    return (
-        F[0] * (F[4] * F[8] - F[5] * F[7])
-        + F[1] * (F[5] * F[6] - F[3] * F[8])
-        + F[2] * (F[3] * F[7] - F[4] * F[6])
-    )
+    return F[0] * (F[4] * F[8] - F[5] * F[7]) + F[1] * (F[5] * F[6] - F[3] * F[8]) + F[2] * (F[3] * F[7] - F[4] * F[6])
 
 
 @njit
@@ -84,7 +82,8 @@ def strain_invariants_2d(F: Matrix2) -> tuple[float, float, float]:
 def strain_invariants_3d(F: Matrix3) -> tuple[float, float, float]:
     """Return (J - 1, |D|^2, I2(D) + det D) with D = F - I, without cancellation near F = I.
 
-    With these, ``|F|^2 - 3 - 2 (J - 1) = |D|^2 - 2 (I2 + det D)``: energies near rest keep their relative accuracy.
+    With these, ``|F|^2 - 3 - 2 (J - 1) = |D|^2 - 2 (I2 + det D)``: energies near rest keep their relative
+    accuracy.
     """
     d0, d4, d8 = F[0] - 1.0, F[4] - 1.0, F[8] - 1.0
     c0 = d4 * d8 - F[5] * F[7]
@@ -114,7 +113,7 @@ def squared_norm_3d(F: Matrix3) -> float:
     )
 
 
-# ------------------------------------------------------------------------------------------------- products
+# ---------------------------------------------------------------------------------------- products
 
 
 @njit
@@ -156,7 +155,7 @@ def multiply_3d(A: Matrix3, B: Matrix3) -> Matrix3:
     )
 
 
-# ------------------------------------------------------------------------------------------------- 2D
+# ---------------------------------------------------------------------------------------- 2D
 
 
 @njit
@@ -185,10 +184,10 @@ def symmetric_eigen_2d(S: Symmetric2) -> tuple[Vector2, Matrix2]:
 
 @njit
 def rotation_and_trace_2d(F: Matrix2) -> tuple[Matrix2, float]:
-    """Return R and tr S - 2 of F = R S with det R = 1, also for det F < 0; R = I where any rotation would do."""
+    """Return R and tr S - 2 of F = R S with det R = 1, also for det F < 0; R = I where R is arbitrary."""
     x, y = F[0] + F[3], F[2] - F[1]
     r = math.sqrt(x * x + y * y)
-    if r == 0.0:
+    if r < _TINY:
         return (1.0, 0.0, 0.0, 1.0), -2.0
     c, s = x / r, y / r
     return (c, -s, s, c), r - 2.0
@@ -214,9 +213,16 @@ def signed_svd_2d(F: Matrix2) -> tuple[Matrix2, Vector2, Matrix2]:
 
 
 @njit
+def is_surely_definite_2d(S: Symmetric2) -> bool:
+    """Tell whether S is positive definite by a margin that rounding cannot forge."""
+    product = S[0] * S[1]
+    return S[0] > 0.0 and S[1] > 0.0 and product - S[2] * S[2] > _DEFINITE * product
+
+
+@njit
 def clamp_symmetric_2d(S: Symmetric2) -> Symmetric2:
     """Return the closest positive semi-definite symmetric matrix: negative eigenvalues become 0."""
-    if S[0] > 0.0 and S[0] * S[1] - S[2] * S[2] > 0.0:
+    if is_surely_definite_2d(S):
         return S
     w, V = symmetric_eigen_2d(S)
     w0 = 0.0 if w[0] < 0.0 else w[0]
@@ -225,27 +231,29 @@ def clamp_symmetric_2d(S: Symmetric2) -> Symmetric2:
     return (w0 * c * c + w1 * s * s, w0 * s * s + w1 * c * c, (w0 - w1) * c * s)
 
 
-# ------------------------------------------------------------------------------------------------- 3D
+# ---------------------------------------------------------------------------------------- 3D
 
 
 @njit
 def symmetric_frame_3d(S: Symmetric3) -> Columns3:
     """Return the columns of a rotation that are approximate eigenvectors of S, eigenvalues descending.
 
-    The eigenvalue farthest from the others is a well-conditioned root of the characteristic cubic; its eigenvector is
-    the largest column of adj(S - x I), and the plane across is a 2x2 problem. No step divides by a small gap, so what
-    S has off the diagonal of this frame is a few roundings of |S|, also for repeated eigenvalues.
+    The eigenvalue farthest from the others is a well-conditioned root of the characteristic cubic; its
+    eigenvector is the largest column of adj(S - x I), and the plane across is a 2x2 problem. No step divides
+    by a small gap, so what S has off the diagonal of this frame is a few roundings of |S|, also for repeated
+    eigenvalues.
     """
     mean = (S[0] + S[1] + S[2]) / 3.0
     a00, a11, a22, a12, a02, a01 = S[0] - mean, S[1] - mean, S[2] - mean, S[3], S[4], S[5]
     q = a00 * a00 + a11 * a11 + a22 * a22 + 2.0 * (a12 * a12 + a02 * a02 + a01 * a01)
-    if q < _TINY:
+    if q < _TINY * _TINY:
         return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     scale = math.sqrt(6.0 / q)
     a00, a11, a22 = a00 * scale, a11 * scale, a22 * scale
     a12, a02, a01 = a12 * scale, a02 * scale, a01 * scale
 
-    # Eigenvalues of the scaled deviator solve x^3 - 3 x = d with |d| <= 2: the outer root lies in [sqrt 3, 2].
+    # Eigenvalues of the scaled deviator solve x^3 - 3 x = d with |d| <= 2: the outer root lies in [sqrt 3,
+    # 2].
     d = a00 * (a11 * a22 - a12 * a12) + a01 * (a12 * a02 - a01 * a22) + a02 * (a01 * a12 - a11 * a02)
     size = min(abs(d), 2.0)
     # Chebyshev interpolant of degree 3, error 8e-5; two Newton steps square that twice.
@@ -275,8 +283,16 @@ def symmetric_frame_3d(S: Symmetric3) -> Columns3:
     e0, e1, e2 = 1.0 + sign * w0 * w0 * p, sign * r, -sign * w0
     f0, f1, f2 = r, sign + w1 * w1 * p, -w1
 
-    ae0, ae1, ae2 = a00 * e0 + a01 * e1 + a02 * e2, a01 * e0 + a11 * e1 + a12 * e2, a02 * e0 + a12 * e1 + a22 * e2
-    af0, af1, af2 = a00 * f0 + a01 * f1 + a02 * f2, a01 * f0 + a11 * f1 + a12 * f2, a02 * f0 + a12 * f1 + a22 * f2
+    ae0, ae1, ae2 = (
+        a00 * e0 + a01 * e1 + a02 * e2,
+        a01 * e0 + a11 * e1 + a12 * e2,
+        a02 * e0 + a12 * e1 + a22 * e2,
+    )
+    af0, af1, af2 = (
+        a00 * f0 + a01 * f1 + a02 * f2,
+        a01 * f0 + a11 * f1 + a12 * f2,
+        a02 * f0 + a12 * f1 + a22 * f2,
+    )
     c, s = symmetric_frame_2d(
         (e0 * ae0 + e1 * ae1 + e2 * ae2, f0 * af0 + f1 * af1 + f2 * af2, e0 * af0 + e1 * af1 + e2 * af2)
     )
@@ -288,9 +304,9 @@ def symmetric_frame_3d(S: Symmetric3) -> Columns3:
 
 @njit
 def _jacobi_rotation(difference: float, twice: float) -> Vector2:
-    """Return (c, s) of the small-angle rotation that brings [[a, b], [b, d]] to diagonal form; difference = a - d."""
+    """Return (c, s) of the smaller rotation that makes [[a, b], [b, d]] diagonal, from a - d and 2 b."""
     r = math.sqrt(difference * difference + twice * twice)
-    if r == 0.0:
+    if r < _TINY:
         return 1.0, 0.0
     near = r + abs(difference)
     scale = 1.0 / math.sqrt(near * near + twice * twice)
@@ -355,11 +371,23 @@ def symmetric_eigen_3d(S: Symmetric3) -> tuple[Vector3, Matrix3]:
 
 
 @njit
+def is_surely_definite_3d(S: Symmetric3) -> bool:
+    """Tell whether S is positive definite by a margin that rounding cannot forge.
+
+    The leading minors would do in exact arithmetic; all three minors of size 2 bound the terms of the
+    determinant.
+    """
+    a, b, c, aa, bb, cc = S[0], S[1], S[2], S[3] * S[3], S[4] * S[4], S[5] * S[5]
+    if not (a > 0.0 and b > 0.0 and c > 0.0 and b * c > aa and c * a > bb and a * b > cc):
+        return False
+    product = a * b * c
+    return product + 2.0 * S[3] * S[4] * S[5] - (a * aa + b * bb + c * cc) > _DEFINITE * product
+
+
+@njit
 def clamp_symmetric_3d(S: Symmetric3) -> Symmetric3:
     """Return the closest positive semi-definite symmetric matrix: negative eigenvalues become 0."""
-    minor = S[0] * S[1] - S[5] * S[5]
-    det = S[2] * minor - S[3] * (S[0] * S[3] - S[5] * S[4]) + S[4] * (S[5] * S[3] - S[1] * S[4])
-    if S[0] > 0.0 and minor > 0.0 and det > 0.0:
+    if is_surely_definite_3d(S):
         return S
     w, V = symmetric_eigen_3d(S)
     a = 0.0 if w[0] < 0.0 else w[0]
@@ -376,9 +404,7 @@ def clamp_symmetric_3d(S: Symmetric3) -> Symmetric3:
 
 
 @njit
-def _orthogonalise_pair(
-    p: Vector3, q: Vector3, u: Vector3, v: Vector3
-) -> tuple[Vector3, Vector3, Vector3, Vector3]:
+def _orthogonalise_pair(p: Vector3, q: Vector3, u: Vector3, v: Vector3) -> tuple[Vector3, Vector3, Vector3, Vector3]:
     """Rotate the columns p, q (and with them u, v) in their plane so that p . q = 0 (Hestenes 1958)."""
     c, s = _jacobi_rotation(_dot(p, p) - _dot(q, q), 2.0 * _dot(p, q))
     return _combine(c, p, s, q), _combine(c, q, -s, p), _combine(c, u, s, v), _combine(c, v, -s, u)
@@ -394,9 +420,7 @@ def _orthogonal_columns(F: Matrix3) -> tuple[Columns3, Columns3]:
     for _ in range(_MAX_SWEEPS):
         ab, ac, bc = _dot(a, b), _dot(a, c), _dot(b, c)
         aa, bb, cc = _dot(a, a), _dot(b, b), _dot(c, c)
-        if not (
-            ab * ab > _ORTHOGONAL * aa * bb or ac * ac > _ORTHOGONAL * aa * cc or bc * bc > _ORTHOGONAL * bb * cc
-        ):
+        if not (ab * ab > _ORTHOGONAL * aa * bb or ac * ac > _ORTHOGONAL * aa * cc or bc * bc > _ORTHOGONAL * bb * cc):
             break
         a, b, u, v = _orthogonalise_pair(a, b, u, v)
         a, c, u, w = _orthogonalise_pair(a, c, u, w)
@@ -422,15 +446,15 @@ def _perpendicular(p: Vector3) -> Vector3:
 
 @njit
 def _left_frame(a: Vector3, b: Vector3) -> Columns3:
-    """Return a right-handed orthonormal frame along the orthogonal vectors a and b, of which both may be zero."""
+    """Return a right-handed orthonormal frame along the orthogonal vectors a and b; both may be zero."""
     length = math.sqrt(_dot(a, a))
-    if length == 0.0:
+    if length < _TINY:
         return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     scale = 1.0 / length
     p = _combine(scale, a, 0.0, a)
     b = _combine(1.0, b, -_dot(p, b), p)
     length = math.sqrt(_dot(b, b))
-    if length == 0.0:
+    if length < _TINY:
         q = _perpendicular(p)
     else:
         scale = 1.0 / length
@@ -440,7 +464,7 @@ def _left_frame(a: Vector3, b: Vector3) -> Columns3:
 
 @njit
 def signed_svd_3d(F: Matrix3) -> tuple[Matrix3, Vector3, Matrix3]:
-    """Return (U, s, V) with F = U diag(s) V^T, U and V rotations and s0 >= s1 >= |s2|; s2 has the sign of det F.
+    """Return (U, s, V): F = U diag(s) V^T, U and V rotations, s0 >= s1 >= |s2|, s2 with the sign of det F.
 
     Accurate to a few roundings of |F| for every F, singular, inverted and with repeated singular values.
     """

@@ -41,19 +41,21 @@ from femdeform.materials.small_matrix import (
 class StableNeoHookean(NamedTuple):
     """Psi = mu'/2 (I - d) - mu'/2 ln((I + 1)/(d + 1)) + lambda'/2 ((J - alpha)^2 - (1 - alpha)^2), I = |F|^2.
 
-    alpha = 1 + mu/lambda' makes the rest state stress free. P = m F + g' cof F with m = mu' (1 - 1/(I + 1)) and
-    g' = lambda' (J - alpha) = lambda' (J - 1) - mu. The constants mu' = (d + 1)/d mu and
-    lambda' = lambda + (1 - 2/(d (d + 1))) mu make the law agree with linear elasticity (mu, lambda) at rest: they are
-    4/3 mu and lambda + 5/6 mu in 3D, 3/2 mu and lambda + 2/3 mu in 2D.
+    alpha = 1 + mu/lambda' makes the rest state stress free. P = m F + g' cof F with m = mu' (1 - 1/(I + 1))
+    and g' = lambda' (J - alpha) = lambda' (J - 1) - mu. The constants mu' = (d + 1)/d mu and lambda' = lambda
+    + (1 - 2/(d (d + 1))) mu make the law agree with linear elasticity (mu, lambda) at rest: they are 4/3 mu
+    and lambda + 5/6 mu in 3D, 3/2 mu and lambda + 2/3 mu in 2D.
 
     References
     ----------
-    B. Smith, F. de Goes, T. Kim, "Stable neo-Hookean flesh simulation", ACM Transactions on Graphics 37(2), 2018.
+    B. Smith, F. de Goes, T. Kim, "Stable neo-Hookean flesh simulation", ACM Transactions on Graphics 37(2),
+    2018.
 
     Limitations
     -----------
-    The two-dimensional law is one of its own, with its own constants: plane strain at rest, but at finite strain not the
-    3D law at diag(F, 1), since I counts the dimensions. Finite for J <= 0: elements may invert and recover.
+    The two-dimensional law is one of its own, with its own constants: plane strain at rest, but at finite
+    strain not the 3D law at diag(F, 1), since I counts the dimensions. Finite for J <= 0: elements may invert
+    and recover.
     """
 
     mu: float
@@ -71,8 +73,8 @@ class StableNeoHookean(NamedTuple):
 
 @njit(fastmath=ORDERED)
 def _energy(x: float, square: float, rest: float, d: float, law: StableNeoHookean) -> float:
-    # With x = J - 1 and y = |F|^2 - d the energy is mu/2 (y - 2 x) + mu'/2 (z - ln(1 + z)) + lambda'/2 x^2, where
-    # z = y / (d + 1): written like this nothing large cancels near rest, and it vanishes there.
+    # With x = J - 1 and y = |F|^2 - d the energy is mu/2 (y - 2 x) + mu'/2 (z - ln(1 + z)) + lambda'/2 x^2,
+    # where z = y / (d + 1): written like this nothing large cancels near rest, and it vanishes there.
     excess = square - 2.0 * rest
     z = (excess + 2.0 * x) / (d + 1.0)
     return 0.5 * (law.mu * excess + law.mu_corrected * (z - math.log1p(z)) + law.lmbda_corrected * x * x)
@@ -130,9 +132,7 @@ def pk1_3d(F: Matrix3, law: StableNeoHookean) -> Matrix3:
 
 
 @njit
-def stretch_derivatives_2d(
-    s: Vector2, law: StableNeoHookean
-) -> tuple[Vector2, Symmetric2, tuple[float], tuple[float]]:
+def stretch_derivatives_2d(s: Vector2, law: StableNeoHookean) -> tuple[Vector2, Symmetric2, tuple[float], tuple[float]]:
     """Return (gradient, hessian, twist, flip); see `dispatch.stretch_derivatives`."""
     x, _, _ = stretch_invariants_2d(s)
     m, e = _shear_coefficients(s[0] * s[0] + s[1] * s[1], law)

@@ -83,14 +83,7 @@ def place_camera(box: FloatArray, *, dim: int, vertical: int, aspect: float) -> 
         return Camera(center + np.array([0.0, 0.0, 2.0 * size]), center, np.array([0.0, 1.0, 0.0]), scale)
 
     up = np.eye(3)[vertical]
-    # The two horizontal axes as a right-handed pair; the longer one runs across the picture.
-    first, second = (np.eye(3)[(vertical + k) % 3] for k in (1, 2))
-    if abs(np.dot(extent, first)) > abs(np.dot(extent, second)):
-        across, towards = first, -second
-    else:
-        across, towards = second, first
-    direction = towards + 0.55 * across + 0.45 * up
-    direction = direction / np.linalg.norm(direction)
+    direction = view_direction(extent, vertical)
     right = np.cross(up, direction)
     right = right / np.linalg.norm(right)
     above = np.cross(direction, right)
@@ -100,3 +93,24 @@ def place_camera(box: FloatArray, *, dim: int, vertical: int, aspect: float) -> 
     needed = np.maximum(np.abs(corners @ above) / slope, np.abs(corners @ right) / (slope * aspect))
     distance = max(float(np.max(needed + corners @ direction)), 1e-3 * size)
     return Camera(center + distance * direction, center, up, None)
+
+
+def view_direction(extent: FloatArray, vertical: int) -> FloatArray:
+    """Unit vector from a box towards the eye, slightly from above, with the longer horizontal side across.
+
+    Parameters
+    ----------
+    extent : (3,) float64
+        Sides of the box [m].
+    vertical : int
+        Axis that points up.
+    """
+    up = np.eye(3)[vertical]
+    # The two horizontal axes make a right-handed frame with the vertical one.
+    first, second = (np.eye(3)[(vertical + k) % 3] for k in (1, 2))
+    if abs(np.dot(extent, first)) > abs(np.dot(extent, second)):
+        across, towards = first, -second
+    else:
+        across, towards = second, first
+    direction = towards + 0.55 * across + 0.45 * up
+    return np.asarray(direction / np.linalg.norm(direction), dtype=np.float64)

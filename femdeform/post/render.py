@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError, MissingDependencyError
 from femdeform.post.backend import has_display, load_pyvista
-from femdeform.post.stage import Stage, survey
+from femdeform.post.stage import Stage
+from femdeform.post.survey import survey
 from femdeform.run import atomic
 from femdeform.run.result import Result
 
@@ -166,7 +167,13 @@ def _movie_writer(path: Path, rate: float, gif: bool) -> Any:
     try:
         # Most players want the colour format yuv420p, which needs even sizes; ours are multiples of 16.
         return imageio.get_writer(
-            path, format="FFMPEG", fps=rate, codec="libx264", quality=8, macro_block_size=16
+            path,
+            format="FFMPEG",
+            fps=rate,
+            codec="libx264",
+            quality=8,
+            macro_block_size=16,
+            ffmpeg_log_level="error",
         )
     except (ImportError, RuntimeError, ValueError) as error:
         message = f"mp4 movies need imageio-ffmpeg, .gif works without it ({error})"

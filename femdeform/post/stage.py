@@ -7,20 +7,17 @@ showing a frame then only moves points.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from femdeform.errors import InputError
 from femdeform.post.camera import VIEW_ANGLE, place_camera, vertical_axis
-from femdeform.post.fields import Field, select_field, value_range
+from femdeform.post.fields import Field, select_field
 from femdeform.post.obstacles import obstacle_shapes, solid_bounds
-from femdeform.post.surface import Part, Surface, extract_surface, vertex_normals
+from femdeform.post.surface import Part, vertex_normals
+from femdeform.post.survey import Setting, resolved_or_empty
 from femdeform.run.result import Frame, Result
-from femdeform.types import FloatArray
 
 MAX_FACES_WITH_EDGES = 50_000
 
@@ -31,75 +28,6 @@ _TEXT = "#202020"
 # Parts of the picture the bodies may fill; the rest is for the legend on the right and for title and time.
 _FILL_WIDTH, _FILL_HEIGHT = 0.74, 0.76
 _FILL_CENTER = (0.43, 0.485)
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What all frames of a picture or movie share.
-
-    Attributes
-    ----------
-    surface : Surface
-        Visible part of the mesh.
-    box : (2, 3) float64
-        Corners of the box around every frame and the reference shape [m].
-    colours : (float, float)
-        Range of the field over every frame.
-    dim : int
-        Dimension of the scene.
-    """
-
-    surface: Surface
-    box: FloatArray
-    colours: tuple[float, float]
-    dim: int
-
-
-def survey(
-    result: Result, frames: Iterable[int], field: str | None, progress: Callable[[], None] | None = None
-) -> Setting:
-    """Go through frames for what they share.
-
-    Parameters
-    ----------
-    result : Result
-        The result.
-    frames : iterable of int
-        Positions in ``result.frames``.
-    field : str, optional
-        Field to colour by, see `select_field`.
-    progress : callable, optional
-        Called after each frame.
-
-    Raises
-    ------
-    InputError
-        If a frame cannot be read, has no such field, or has nothing to show.
-    """
-    surface: Surface | None = None
-    corners: list[FloatArray] = []
-    ranges: list[tuple[float, float]] = []
-    for index in frames:
-        frame = result.read_frame(index)
-        if surface is None:
-            surface = extract_surface(frame.points, frame.blocks)
-            if not len(surface.nodes):
-                raise InputError(f"{result.folder}: there is nothing to show, the frames have no cells")
-            corners.append(_bounds(frame.points[surface.nodes]))
-        corners.append(_bounds(frame.positions[surface.nodes]))
-        ranges.append(value_range(_visible_values(select_field(frame, field, result.folder), surface)))
-        if progress is not None:
-            progress()
-    if surface is None:
-        raise InputError(f"{result.folder}: there are no frames in this result")
-    stacked = np.stack(corners)
-    box = np.stack([np.nanmin(stacked[:, 0], axis=0), np.nanmax(stacked[:, 1], axis=0)])
-    if not np.all(np.isfinite(box)):
-        raise InputError(f"{result.folder}: the displacements of the frames are not finite")
-    lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
-    gravity = _resolved(result).get("gravity")
-    flat = box[1, 2] == box[0, 2] and not (isinstance(gravity, list) and len(gravity) == 3)
-    return Setting(surface, box, (lowest, highest), 2 if flat else 3)
 
 
 class Stage:
@@ -201,7 +129,7 @@ class Stage:
                 **options,
             )
             if part is surface.faces:
-                # Pushes the faces back a little in depth, so that the element edges on them are not half hidden.
+                # Pushes the faces back in depth, so that the element edges on them are not half hidden.
                 actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
                 actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(1.0, 2.0)
                 if self._setting.dim == 3:
@@ -315,7 +243,7 @@ class Stage:
             )
 
     def _add_legend(self, field: Field) -> None:
-        names = self._result.facts.get("bodies" if field.label == "body" else "regions")
+        names: Any = self._result.facts.get("bodies" if field.label == "body" else "regions")
         present = np.unique(field.values).astype(int)
         labels = []
         for number in present:
@@ -334,7 +262,7 @@ class Stage:
         box = np.stack([shown[:, 0].min(axis=0), shown[:, 1].max(axis=0)])
         width, height = self.plotter.window_size
         fill = (_FILL_WIDTH * width) / (_FILL_HEIGHT * height)
-        vertical = vertical_axis(_resolved(self._result))
+        vertical = vertical_axis(resolved_or_empty(self._result))
         placed = place_camera(box, dim=self._setting.dim, vertical=vertical, aspect=fill)
         camera = self.plotter.camera
         camera.focal_point = placed.focal_point
@@ -353,7 +281,7 @@ class Stage:
         self.plotter.camera_set = True
 
     def _title(self) -> str:
-        title = self._result.facts.get("title") or _resolved(self._result).get("title")
+        title = self._result.facts.get("title") or resolved_or_empty(self._result).get("title")
         return " ".join(str(title).split())[:90] if title else ""
 
     def _font(self, size: int) -> int:
@@ -361,24 +289,6 @@ class Stage:
 
     def _points(self, size: int) -> int:
         return max(round(size * self._scale), 8)
-
-
-def _visible_values(field: Field, surface: Surface) -> FloatArray:
-    if field.on_cells:
-        return field.values.take(np.concatenate([surface.face_cells, surface.line_cells]))
-    return field.values.take(surface.nodes)
-
-
-def _bounds(points: FloatArray) -> FloatArray:
-    return np.stack([points.min(axis=0), points.max(axis=0)])
-
-
-def _resolved(result: Result) -> dict[str, Any]:
-    # Only for the title and for which way is up: a picture does not fail for want of them.
-    try:
-        return result.resolved
-    except InputError:
-        return {}
 
 
 def _uses_format(pyvista: Any) -> bool:

@@ -37,26 +37,19 @@ class FrameSource:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         discretization = simulation.discretization
-        points = np.zeros((discretization.partition.n_global, discretization.dim))
         blocks = []
         bodies: list[np.ndarray] = []
         regions: list[np.ndarray] = []
         for number, (name, mesh) in enumerate(simulation.meshes.items()):
             place = discretization.bodies[name]
-            n_corners = mesh.cells.shape[1]
-            points[place.first : place.first + place.n_vertices] = mesh.points
             connectivity = place.connectivity
-            pairs = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)][: connectivity.shape[1] - n_corners]
-            for k, (a, b) in enumerate(pairs):
-                middle = 0.5 * (mesh.points[connectivity[:, a]] + mesh.points[connectivity[:, b]])
-                points[place.first + connectivity[:, n_corners + k]] = middle
             blocks.append((_BLOCK_NAMES[mesh.cell_type, connectivity.shape[1]], place.first + connectivity))
             bodies.append(np.full(mesh.n_cells, number, dtype=np.int64))
             region = np.zeros(mesh.n_cells, dtype=np.int64)
             for label, group in enumerate(simulation.scene.bodies[name].regions, start=1):
                 region[mesh.cell_groups[group]] = label
             regions.append(region)
-        self.mesh = FrameMesh(points, blocks, {"body": bodies, "region": regions})
+        self.mesh = FrameMesh(discretization.all_points, blocks, {"body": bodies, "region": regions})
 
     def point_data(self, state: State) -> dict[str, FloatArray] | None:
         """Displacement [m] and, if the scene asks for it, velocity [m/s] of all nodes; None off rank 0."""

@@ -9,22 +9,21 @@ can be read, and a resumed one leaves the files that an unbroken run would have 
 from __future__ import annotations
 
 import json
-import math
 import shutil
 from collections.abc import Mapping
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
 from femdeform.run import atomic
+from femdeform.run.plain import to_json, to_yaml
 from femdeform.run.table import Table, Value, last_step, time_of_step, truncate_table
-from femdeform.run.vtu import CellData, FrameMesh, VTUWriter, read_pvd, read_vtu, write_pvd
+from femdeform.run.vtu import CellData, FrameMesh, VTUWriter, write_pvd
+from femdeform.run.vtu_reader import read_pvd, read_vtu
 
-__all__ = ["HISTORY_COLUMNS", "ITERATION_COLUMNS", "FrameMesh", "Recorder", "to_json"]
+__all__ = ["HISTORY_COLUMNS", "ITERATION_COLUMNS", "FrameMesh", "Recorder"]
 
 HISTORY_COLUMNS = (
     "step",
@@ -134,7 +133,7 @@ class Recorder:
             If a file cannot be written.
         """
         self._facts = dict(facts)
-        atomic.write_text(self.folder / "resolved.yaml", _to_yaml(resolved))
+        atomic.write_text(self.folder / "resolved.yaml", to_yaml(resolved))
         self._write_result("running", "")
 
     def step(self, row: Mapping[str, Value]) -> None:
@@ -299,11 +298,6 @@ class Recorder:
         return [(read_vtu(self.folder / file).time, file) for file in files]
 
 
-def to_json(facts: Mapping[str, Any]) -> str:
-    """Strict JSON of facts that may hold numpy values, paths and tuples; NaN and infinity become null."""
-    return json.dumps(_plain(facts, finite=True), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
 def _make_room(folder: Path, overwrite: bool) -> None:
     result = folder / "result.json"
     if not overwrite and any((folder / name).exists() for name in _MARKS):
@@ -326,41 +320,3 @@ def _make_room(folder: Path, overwrite: bool) -> None:
             atomic.remove_leftovers(folder / name)
             if (folder / name).is_dir() and not any((folder / name).iterdir()):
                 shutil.rmtree(folder / name)
-
-
-def _plain(value: Any, *, finite: bool) -> Any:
-    """Plain dicts, lists and numbers, as JSON and YAML writers want them."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item, finite=finite) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item, finite=finite) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist(), finite=finite)
-    if isinstance(value, float) and finite and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return str(value)
-
-
-def _to_yaml(resolved: Mapping[str, Any]) -> str:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.comments import CommentedSeq
-
-    def arranged(value: Any) -> Any:
-        # Vectors on one line, as people write them; everything else one key a line.
-        if isinstance(value, dict):
-            return {key: arranged(item) for key, item in value.items()}
-        if isinstance(value, list):
-            sequence = CommentedSeq([arranged(item) for item in value])
-            if not any(isinstance(item, dict | list) for item in value):
-                sequence.fa.set_flow_style()
-            return sequence
-        return value
-
-    yaml = YAML()
-    yaml.width = 110
-    yaml.indent(mapping=2, sequence=4, offset=2)
-    stream = StringIO()
-    yaml.dump(arranged(_plain(resolved, finite=False)), stream)
-    return stream.getvalue()

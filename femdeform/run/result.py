@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
 from femdeform.run.table import read_table
-from femdeform.run.vtu import VTUContents, read_pvd, read_vtu
+from femdeform.run.vtu_reader import VTUContents, read_pvd, read_vtu
 from femdeform.types import FloatArray, IntArray
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from femdeform.fem.incremental_potential import IncrementalPotential, State
 from femdeform.step_problem import IterationObserver, StepResult, StepSolver
@@ -96,7 +95,9 @@ def run_time_loop(
     Parameters
     ----------
     problem : IncrementalPotential
+        What to solve.
     solver : StepSolver
+        How to solve a step.
     control : StepControl
         Changed on the way.
     state : State

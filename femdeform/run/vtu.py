@@ -1,4 +1,4 @@
-"""Unstructured-grid files (.vtu) and their time series (.pvd), written and read without VTK.
+"""Unstructured-grid files (.vtu) and their time series (.pvd), written without VTK.
 
 A frame repeats the mesh, which never changes: its points and cells are compressed once, and a frame then
 costs the compression of its own fields only. Arrays are stored inline as zlib blocks in base64, so that a
@@ -12,16 +12,13 @@ import base64
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 
-from femdeform.errors import Fault, InputError
 from femdeform.run import atomic
 from femdeform.types import FloatArray, IntArray
 
@@ -34,11 +31,10 @@ VTK_CELLS: dict[str, tuple[int, int]] = {
     "triangle6": (22, 6),
     "tetra10": (24, 10),
 }
-_NAMES = {number: name for name, (number, _) in VTK_CELLS.items()}
 
 _TYPE_NAMES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
-_DTYPES = {name: np.dtype("<" + code) for code, name in _TYPE_NAMES.items()}
-_HEADER = np.dtype("<u8")
+DTYPES = {name: np.dtype("<" + code) for code, name in _TYPE_NAMES.items()}
+HEADER = np.dtype("<u8")
 
 _BLOCK = 1 << 20  # bytes a zlib block holds before compression
 _LEVEL = 1  # higher levels cost several times as long and save a few percent on floating-point data
@@ -196,67 +192,6 @@ class VTUWriter:
         atomic.write_text(path, "".join(text))
 
 
-@dataclass(frozen=True)
-class VTUContents:
-    """What a ``.vtu`` file holds, in read-only arrays; `cell_data` has one array per block.
-
-    Neighbouring blocks of one cell type, say the tetrahedra of two bodies, come back as one block.
-    """
-
-    time: float
-    points: FloatArray
-    blocks: list[tuple[str, IntArray]]
-    point_data: dict[str, NDArray[Any]]
-    cell_data: dict[str, list[NDArray[Any]]]
-
-
-def read_vtu(path: Path) -> VTUContents:
-    """Read a file written by `VTUWriter`.
-
-    Parameters
-    ----------
-    path : Path
-        The ``.vtu`` file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, torn, or not of the kind `VTUWriter` writes.
-    """
-    try:
-        root = ElementTree.parse(path).getroot()
-        piece = _child(root, "UnstructuredGrid/Piece")
-        points = _read_array(_child(piece, "Points/DataArray"))
-        cells = {array.get("Name"): _read_array(array) for array in piece.findall("Cells/DataArray")}
-        blocks, bounds = _split_blocks(cells["connectivity"], cells["offsets"], cells["types"])
-        time = root.find("UnstructuredGrid/FieldData/DataArray[@Name='TimeValue']")
-        point_data = {str(a.get("Name")): _read_array(a) for a in piece.findall("PointData/DataArray")}
-        cell_data = {str(a.get("Name")): _read_array(a) for a in piece.findall("CellData/DataArray")}
-        counts = int(piece.get("NumberOfPoints", -1)), int(piece.get("NumberOfCells", -1))
-        if len(points) != counts[0] or any(len(array) != counts[0] for array in point_data.values()):
-            raise ValueError(f"the arrays of points do not have {counts[0]} entries")
-        if bounds[-1] != counts[1] or any(len(array) != counts[1] for array in cell_data.values()):
-            raise ValueError(f"the arrays of cells do not have {counts[1]} entries")
-        for _, block in blocks:
-            if block.size and (block.min() < 0 or block.max() >= counts[0]):
-                raise ValueError("a cell refers to a point that is not there")
-        return VTUContents(
-            time=float(_read_array(time)[0]) if time is not None else float("nan"),
-            points=points.astype(np.float64),
-            blocks=blocks,
-            point_data=point_data,
-            cell_data={
-                name: [array[first:last] for first, last in pairwise(bounds)]
-                for name, array in cell_data.items()
-            },
-        )
-    except FileNotFoundError as error:
-        raise InputError([Fault(str(path), 0, "", "no such file")]) from error
-    except (OSError, ElementTree.ParseError, zlib.error, ValueError, KeyError, IndexError) as error:
-        message = f"the file is corrupt or not a frame of femdeform ({error})"
-        raise InputError([Fault(str(path), 0, "", message)]) from error
-
-
 def write_pvd(path: Path, entries: Sequence[tuple[float, str]]) -> None:
     """Write the list of frames that ParaView opens as one animation.
 
@@ -275,23 +210,6 @@ def write_pvd(path: Path, entries: Sequence[tuple[float, str]]) -> None:
     rows = [f'<DataSet timestep="{time!r}" part="0" file={quoteattr(file)}/>\n' for time, file in entries]
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n<Collection>\n'
     atomic.write_text(path, head + "".join(rows) + "</Collection>\n</VTKFile>\n")
-
-
-def read_pvd(path: Path) -> list[tuple[float, str]]:
-    """Times and files of the frames in a ``.pvd``; an empty list where there is no such file.
-
-    Raises
-    ------
-    InputError
-        If the file is not a list of frames.
-    """
-    try:
-        rows = ElementTree.parse(path).getroot().iterfind("Collection/DataSet")
-        return [(float(row.attrib["timestep"]), row.attrib["file"]) for row in rows]
-    except FileNotFoundError:
-        return []
-    except (OSError, ElementTree.ParseError, KeyError, ValueError) as error:
-        raise InputError([Fault(str(path), 0, "", f"the list of frames is corrupt ({error})")]) from error
 
 
 def as_vtk_columns(array: NDArray[Any]) -> NDArray[Any]:
@@ -331,7 +249,7 @@ def _data_array(name: str, array: NDArray[Any], *, tuples: int | None = None) ->
         attributes += f' NumberOfComponents="{array.shape[1]}"'
     if tuples is not None:
         attributes += f' NumberOfTuples="{tuples}"'
-    encoded = _encode(np.ascontiguousarray(array, dtype=_DTYPES[_TYPE_NAMES[code]]))
+    encoded = _encode(np.ascontiguousarray(array, dtype=DTYPES[_TYPE_NAMES[code]]))
     return f'<DataArray {attributes} format="binary">{encoded}</DataArray>\n'
 
 
@@ -339,45 +257,5 @@ def _encode(array: NDArray[Any]) -> str:
     data = array.tobytes()
     blocks = [zlib.compress(data[start : start + _BLOCK], _LEVEL) for start in range(0, len(data), _BLOCK)]
     # Number of blocks, size of a full block, size of the last one when it is not full, compressed sizes.
-    header = np.array([len(blocks), _BLOCK, len(data) % _BLOCK, *map(len, blocks)], dtype=_HEADER)
+    header = np.array([len(blocks), _BLOCK, len(data) % _BLOCK, *map(len, blocks)], dtype=HEADER)
     return (base64.b64encode(header.tobytes()) + base64.b64encode(b"".join(blocks))).decode("ascii")
-
-
-def _read_array(element: ElementTree.Element) -> NDArray[Any]:
-    if element.get("format") != "binary":
-        raise ValueError(f"array {element.get('Name')!r} is not of the inline binary format")
-    text = (element.text or "").strip()
-    n_blocks = int(np.frombuffer(base64.b64decode(text[:12], validate=True), dtype=_HEADER, count=1)[0])
-    # Header and blocks are encoded one after the other, each padded to full groups of four characters.
-    n_header = -(-8 * (3 + n_blocks) // 3) * 4
-    header = np.frombuffer(base64.b64decode(text[:n_header], validate=True), dtype=_HEADER)
-    packed = base64.b64decode(text[n_header:], validate=True)
-    ends = np.cumsum(header[3:]).astype(np.int64)
-    if len(header) != 3 + n_blocks or (n_blocks and ends[-1] != len(packed)):
-        raise ValueError(f"array {element.get('Name')!r} is cut short")
-    parts = [packed[start:end] for start, end in zip([0, *ends], ends, strict=False)]
-    array = np.frombuffer(b"".join(map(zlib.decompress, parts)), dtype=_DTYPES[element.get("type", "")])
-    n_components = int(element.get("NumberOfComponents", 1))
-    return array.reshape(-1, n_components) if n_components > 1 else array
-
-
-def _child(element: ElementTree.Element, path: str) -> ElementTree.Element:
-    found = element.find(path)
-    if found is None:
-        raise ValueError(f"<{path}> is missing")
-    return found
-
-
-def _split_blocks(
-    connectivity: IntArray, offsets: IntArray, types: NDArray[np.uint8]
-) -> tuple[list[tuple[str, IntArray]], list[int]]:
-    # Runs of equal types are the blocks, as the writer laid them down one after the other.
-    changes = np.flatnonzero(np.diff(types)) + 1
-    bounds = [0, *changes.tolist(), len(types)] if len(types) else [0]
-    starts = np.concatenate([[0], offsets])
-    blocks = []
-    for first, last in pairwise(bounds):
-        name = _NAMES[int(types[first])]
-        cells = connectivity[starts[first] : starts[last]].reshape(-1, VTK_CELLS[name][1])
-        blocks.append((name, cells.astype(np.int64)))
-    return blocks, bounds

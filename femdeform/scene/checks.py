@@ -160,9 +160,6 @@ def _vectors(scene: schema.DeformableScene) -> Iterator[tuple[KeyPath, tuple[flo
         yield from _vectors_inside(obstacle, ("obstacles", index))
     for index, expected in enumerate(scene.expect.displacement):
         yield from _vectors_inside(expected, ("expect", "displacement", index))
-    for name, body in scene.bodies.items():
-        if body.mesh.translate is not None:
-            yield ("bodies", name, "mesh", "translate"), body.mesh.translate
 
 
 def _vectors_inside(

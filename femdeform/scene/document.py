@@ -98,6 +98,14 @@ def read_document(path: Path) -> Document:
 
 def parse_document(text: str) -> Document:
     """Parse YAML text; whatever is wrong with it is in the `faults` of the result, nothing is raised."""
+    document = parse_value(text)
+    if document.readable and document.data is None and not document.faults:
+        return _unreadable(1, "is empty; a scene is a mapping that starts with `schema_version: 1`")
+    return document
+
+
+def parse_value(text: str) -> Document:
+    """Parse one value, as in ``--set key=value``; empty text is null."""
     for number, content in enumerate(text.split("\n"), start=1):
         forbidden = FORBIDDEN.search(content)
         if forbidden:
@@ -112,17 +120,9 @@ def parse_document(text: str) -> Document:
             # What was read before the syntax error may hold faults of its own; its content is not judged.
             faults = [*_Extraction().of(composer.root).faults, *faults]
         return Document(None, {}, tuple(faults), readable=False)
-    if composer.root is None or (isinstance(composer.root, Scalar) and composer.root.value is None):
-        return _unreadable(1, "is empty; a scene is a mapping that starts with `schema_version: 1`")
-    return _Extraction().of(composer.root)
-
-
-def parse_value(text: str) -> Document:
-    """Parse one value, as in ``--set key=value``; empty text is null."""
-    document = parse_document(text)
-    if not text.strip():
+    if composer.root is None:
         return Document(None, {}, ())
-    return document
+    return _Extraction().of(composer.root)
 
 
 def _unreadable(line: int, message: str) -> Document:
@@ -205,7 +205,8 @@ class _Extraction:
                 path, node.line, f'the key {word} is not text; names are text, in quotes if need be: "{word}"'
             )
         elif node.value == "<<":
-            self._fault(path, node.line, "merge keys (`<<`) are not part of YAML 1.2; write the keys out")
+            message = "merge keys (`<<`) are not part of YAML 1.2; write the keys out"
+            self._fault(path, node.line, message, hides=True)
         else:
             return node.value
         return None

@@ -158,9 +158,14 @@ def _schema_faults(document: Document, data: Any, source: Source) -> list[Fault]
     from femdeform.scene.schema import DeformableScene
     from femdeform.scene.validation import find_faults
 
+    # Nothing is said about a placeholder, nor about a block as a whole that has one inside.
     hidden = [found.path for found in document.faults if found.hides]
     return [
         source.fault(found.path, found.message)
         for found in find_faults(DeformableScene, data)
-        if not any(found.path[: len(path)] == path for path in hidden)
+        if not any(_is_inside(found.path, path) or _is_inside(path, found.path) for path in hidden)
     ]
+
+
+def _is_inside(path: KeyPath, block: KeyPath) -> bool:
+    return path[: len(block)] == block

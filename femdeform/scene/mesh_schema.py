@@ -22,9 +22,12 @@ def _as_tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-_Finite = Annotated[float, Field(allow_inf_nan=False)]
-_Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-_NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+# Far outside of any body, and far inside of what products of three lengths can hold.
+_LARGEST = 1e12
+
+_Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
+_Positive = Annotated[float, Field(gt=0.0, le=_LARGEST, allow_inf_nan=False)]
+_NonNegative = Annotated[float, Field(ge=0.0, le=_LARGEST, allow_inf_nan=False)]
 _Count = Annotated[int, Field(ge=1, le=100_000)]
 
 _Vector = Annotated[tuple[_Finite, ...], BeforeValidator(_as_tuple), Field(min_length=2, max_length=3)]
@@ -37,7 +40,7 @@ _Counts = Annotated[tuple[_Count, ...], BeforeValidator(_as_tuple), Field(min_le
 _Counts2 = Annotated[tuple[_Count, _Count], BeforeValidator(_as_tuple)]
 
 # More cells than this is a slip of the pen, not a mesh: it would fill the memory before anything is said.
-MAX_STRUCTURED_CELLS = 50_000_000
+MAX_STRUCTURED_CELLS = 5_000_000
 
 Diagonals = Literal["alternating", "right", "left"]
 _DIAGONALS = "diagonals of the cells: alternating, or all rising to the `right` or the `left`"
@@ -125,8 +128,8 @@ class SphereSurfaceMesh(PlacedMesh):
 
     @model_validator(mode="after")
     def _consistent(self) -> SphereSurfaceMesh:
-        if self.radius / self.element_size > 1000.0:
-            raise ValueError("element_size: more than a thousand elements along the radius")
+        if self.radius / self.element_size > 300.0:
+            raise ValueError("element_size: more than 300 elements along the radius")
         return self
 
 
@@ -301,6 +304,8 @@ class PlateWithHoleMesh(PlacedMesh):
     def _consistent(self) -> PlateWithHoleMesh:
         if 2.0 * self.radius >= min(self.size):
             raise ValueError("radius: the hole does not fit into the plate")
+        if self.hole_element_size is not None and self.hole_element_size < 1e-3 * self.element_size:
+            raise ValueError("hole_element_size: less than a thousandth of element_size")
         return self
 
 

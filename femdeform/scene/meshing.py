@@ -6,6 +6,7 @@ the mesh itself would take longer, a coarse one of the same recipe stands for it
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -99,6 +100,12 @@ def survey_meshes(loaded: LoadedScene) -> MeshSurvey:
         faults += found
         if not found:
             meshes[name] = loaded.meshes[name]
+        elif body.mesh.rotate is not None or body.mesh.translate is not None:
+            # If only its placement is at fault, the rest of the scene can still be judged.
+            with contextlib.suppress(InputError, MemoryError):
+                unplaced = body.mesh.model_copy(update={"rotate": None, "translate": None})
+                meshes[name] = registry.resolve(registry.MESH["build"])(unplaced, loaded.base_dir)
+                coarse.add(name)
     return MeshSurvey(meshes, frozenset(coarse), sort_faults(faults))
 
 

@@ -11,6 +11,7 @@ fault is then reported at that key.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -33,6 +34,15 @@ def _not_zero(value: tuple[float, ...]) -> tuple[float, ...]:
     if not any(value):
         raise ValueError("a zero vector has no direction")
     return value
+
+
+def _default(key: str, word: str) -> Callable[[Any], Any]:
+    """Validator that fills in the word which chooses the member of a union, so that it may be left out."""
+
+    def fill(value: Any) -> Any:
+        return {**value, key: word} if isinstance(value, dict) and key not in value else value
+
+    return fill
 
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -165,15 +175,9 @@ class RodBody(_BodyModel):
     element_order: Literal[1] = Field(default=1, description="polynomial order of the displacement, P1 only")
 
 
-def _default_kind(value: Any) -> Any:
-    # `kind` may be left out: most bodies are solids.
-    if isinstance(value, dict) and "kind" not in value:
-        return {**value, "kind": "solid"}
-    return value
-
-
 Body = Annotated[
-    Annotated[SolidBody | MembraneBody | RodBody, Field(discriminator="kind")], BeforeValidator(_default_kind)
+    Annotated[SolidBody | MembraneBody | RodBody, Field(discriminator="kind")],
+    BeforeValidator(_default("kind", "solid")),
 ]
 
 
@@ -458,7 +462,7 @@ class LineSearch(SceneModel):
 
 class ProjectedNewtonSolver(SceneModel):
     method: Literal["projected_newton"] = Field(
-        description="Newton with positive semi-definite element Hessians"
+        default="projected_newton", description="Newton with positive semi-definite element Hessians"
     )
     tolerance: Positive = Field(default=1e-8, description="residual over the forces of the problem [-]")
     max_iterations: int = Field(default=100, ge=1, description="Newton iterations a step")
@@ -474,7 +478,7 @@ Solver = ProjectedNewtonSolver
 
 
 class KSPLinearSolver(SceneModel):
-    method: Literal["ksp"] = Field(description="PETSc's Krylov and direct solvers")
+    method: Literal["ksp"] = Field(default="ksp", description="PETSc's Krylov and direct solvers")
     preset: str = Field(default="newton-mumps", description="a named option set of solvers/presets")
     options: dict[Name, str | int | Finite | bool | None] = Field(
         default_factory=dict, description="PETSc options over the preset, without prefix and dash"
@@ -485,7 +489,10 @@ class SciPyDirectLinearSolver(SceneModel):
     method: Literal["scipy_direct"] = Field(description="sparse direct solver of SciPy, serial only")
 
 
-LinearSolver = Annotated[KSPLinearSolver | SciPyDirectLinearSolver, Field(discriminator="method")]
+LinearSolver = Annotated[
+    Annotated[KSPLinearSolver | SciPyDirectLinearSolver, Field(discriminator="method")],
+    BeforeValidator(_default("method", "ksp")),
+]
 
 
 class OnFailure(SceneModel):
@@ -560,11 +567,11 @@ class DeformableScene(SceneModel):
     )
     time: Time = Field(description="time scheme, step and end")
     solver: Solver = Field(
-        default=ProjectedNewtonSolver(method="projected_newton"),
+        default=ProjectedNewtonSolver(),
         description="what solves the equations of a step",
     )
     linear_solver: LinearSolver = Field(
-        default=KSPLinearSolver(method="ksp"), description="what solves the linear systems inside the solver"
+        default=KSPLinearSolver(), description="what solves the linear systems inside the solver"
     )
     on_failure: OnFailure = Field(
         default=OnFailure(), description="what happens when a step does not converge"

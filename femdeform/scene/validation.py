@@ -55,7 +55,7 @@ def find_faults(model: type[BaseModel], data: Any) -> list[Finding]:
 def _judge(expected: Expected, value: Any, path: KeyPath) -> list[Finding]:
     if value is None and expected.optional:
         return []
-    if not holds_models(expected.base):
+    if not holds_models(expected.base) and get_origin(expected.base) is not dict:
         return _judge_leaf(expected, value, path)
     for convert in reversed(expected.before):
         with contextlib.suppress(ValueError):  # what it refuses is found below, key by key
@@ -105,7 +105,7 @@ def _judge_union(expected: Expected, value: Any, path: KeyPath) -> list[Finding]
     if not given:
         unknown = [key for key in value if all(key not in keys for keys in map(known_keys, with_keys))]
         findings = [Finding((*path, key), f"unknown key; {did_you_mean(key, own)}") for key in unknown]
-        return findings or [Finding(path, f"needs one of the keys {one_of(own)}")]
+        return findings or [Finding(path, f"needs {one_of(own, 'one of the keys')}")]
     chosen = own[given[0]]
     findings = [
         Finding((*path, key), f"cannot be combined with `{given[0]}`")
@@ -258,6 +258,8 @@ def _by_pydantic(expected: Expected, value: Any, path: KeyPath) -> list[Finding]
     except ValidationError as error:
         findings = []
         for detail in error.errors(include_url=False):
+            if _counts_only_sound_entries(detail):
+                continue
             inner = _locate(value, detail["loc"])
             sentence = explain(detail, expected, inner)
             # A validator of a whole model names the key it is about: `raise ValueError("dt: ...")`.
@@ -267,6 +269,13 @@ def _by_pydantic(expected: Expected, value: Any, path: KeyPath) -> list[Finding]
             findings.append(Finding(path + inner, sentence))
         return list(dict.fromkeys(findings))
     return []
+
+
+def _counts_only_sound_entries(detail: Any) -> bool:
+    """Whether a list is called too short only because pydantic leaves out the entries that have faults."""
+    if detail["type"] != "too_short" or not isinstance(detail["input"], (list, tuple)):
+        return False
+    return len(detail["input"]) >= int(detail["ctx"]["min_length"])
 
 
 @cache

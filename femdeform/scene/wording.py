@@ -31,7 +31,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 def shown(value: Any) -> str:
     """A value as a sentence about it names it, on one line and short."""
     if value is None:
-        return "empty"
+        return "an empty value"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
@@ -43,12 +43,12 @@ def shown(value: Any) -> str:
     return "a list" if isinstance(value, (list, tuple)) else type(value).__name__
 
 
-def one_of(words: Iterable[Any]) -> str:
+def one_of(words: Iterable[Any], start: str = "one of") -> str:
     """``one of `a`, `b` ``, or the only word."""
     listed = [f"`{word}`" for word in words]
     if len(listed) == 1:
         return listed[0]
-    return f"one of {', '.join(listed)}"
+    return f"{start} {', '.join(listed)}"
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
@@ -66,6 +66,8 @@ def in_words(annotation: Any) -> str:
         with_keys = [member for member in members if holds_models(member.base)]
         words = [in_words(member.base) for member in members if member not in with_keys]
         keys = sorted(key for member in with_keys for key in telling_keys(member, with_keys))
+        if "a number" in words and "a whole number" in words:
+            words.remove("a whole number")
         if with_keys:
             words.append(f"a mapping with {one_of(keys)}" if keys else "a mapping (`key: value`)")
         return ", or ".join(words)
@@ -106,7 +108,7 @@ def explain(detail: Any, expected: Expected, inner: KeyPath) -> str:
     if kind == "finite_number":
         return "must be a finite number"
     if kind in ("too_short", "too_long"):
-        return f"{_count(expected, context, inner)}, not {context['actual_length']}"
+        return _count(expected, context, inner, len(value))
     if kind == "missing":
         # The only place where pydantic itself can miss something: an entry of a list of fixed length.
         return f"needs {len(get_args(expected.base))} entries, not {len(value)}"
@@ -134,16 +136,18 @@ def explain(detail: Any, expected: Expected, inner: KeyPath) -> str:
     return " ".join(text.split())[:160]
 
 
-def _count(expected: Expected, context: Any, inner: KeyPath) -> str:
+def _count(expected: Expected, context: Any, inner: KeyPath, actual: int) -> str:
     low, high = context.get("min_length"), context.get("max_length")
     for constraint in expected.constraints if not inner else ():
         low = getattr(constraint, "min_length", low)
         high = getattr(constraint, "max_length", high)
+    if low == 1 and actual == 0:
+        return "must not be empty"
     if high is None:
-        return "must not be empty" if low == 1 else f"needs at least {low} entries"
+        return f"needs at least {low} entries, not {actual}"
     if low is None or low == high:
-        return f"{'takes at most' if low is None else 'needs'} {high} entries"
-    return f"needs {low} {'or' if high == low + 1 else 'to'} {high} entries"
+        return f"{'takes at most' if low is None else 'needs'} {high} entries, not {actual}"
+    return f"needs {low} {'or' if high == low + 1 else 'to'} {high} entries, not {actual}"
 
 
 def _remark(kind: str, value: Any, expected: Expected) -> str:

@@ -98,7 +98,7 @@ class Composer:
             node: ListNode | MappingNode = ListNode(line) if is_list else MappingNode(line)
             expected = "seq" if is_list else "map"
             if event.tag not in (None, "!", _CORE_TAG + expected):
-                node.problem = f"the tag {quoted(str(event.tag))} is not allowed"
+                node.problem = f"the tag {_shown_tag(event.tag)} is not allowed"
             self._add(node, event.anchor)
             self._stack.append(node)
             if len(self._stack) > MAX_DEPTH:
@@ -175,10 +175,15 @@ def _integer(text: str) -> tuple[Any, str]:
         return None, "is too large for a number; the limit is about 1.8e308"
 
 
+def _shown_tag(tag: object) -> str:
+    text = str(tag)
+    return one_line("!!" + text.removeprefix(_CORE_TAG) if text.startswith(_CORE_TAG) else text)
+
+
 def _resolve_tagged(tag: str, text: str) -> tuple[Any, str]:
     name = tag.removeprefix(_CORE_TAG)
     if name == tag or name not in _CORE_TYPES:
-        return None, f"the tag {quoted(tag)} is not allowed"
+        return None, f"the tag {_shown_tag(tag)} is not allowed"
     if name == "str":
         return (text, "") if not FORBIDDEN.search(text) else (None, "holds a character that is not allowed")
     value, problem = _resolve_plain(text)

@@ -61,7 +61,9 @@ def partition_cells(meshes: Mapping[str, Mesh], comm: Any) -> dict[str, IntArray
     Parameters
     ----------
     meshes : mapping of str to Mesh
+        Meshes by body, the same on every rank.
     comm : mpi4py communicator
+        All ranks of the run.
 
     Returns
     -------

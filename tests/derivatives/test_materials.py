@@ -104,7 +104,7 @@ def linear_tangent(mu: float, lmbda: float, dim: int) -> Array:
     )  # fmt: skip
 
 
-# ------------------------------------------------------------------------------------------------- derivatives
+# ---------------------------------------------------------------------------------------- derivatives
 
 
 @ALL_LAWS
@@ -136,7 +136,11 @@ def test_projection_clamps_the_negative_eigenvalues(name: str, dim: int, nu: flo
     law = law_of(name, dim, mu, lmbda)
     positive = name == "logarithmic_neo_hookean"
     F = np.concatenate(
-        [states(name, dim), random_states(500, dim, positive), random_states(500, dim, positive, amplitude=0.05)]
+        [
+            states(name, dim),
+            random_states(500, dim, positive),
+            random_states(500, dim, positive, amplitude=0.05),
+        ]
     )
     exact = batch.tangent(F, law)
     projected = as_matrices(batch.tangent(F, law, projected=True))
@@ -150,7 +154,7 @@ def test_projection_clamps_the_negative_eigenvalues(name: str, dim: int, nu: flo
         assert 0.05 < indefinite.mean() < 1.0, "both the projected and the unprojected branch must be met"
 
 
-# ------------------------------------------------------------------------------------------------- at rest
+# ---------------------------------------------------------------------------------------- at rest
 
 
 @ALL_LAWS
@@ -176,7 +180,7 @@ def test_energy_keeps_its_accuracy_near_rest(name: str, dim: int) -> None:
     np.testing.assert_allclose(batch.energy_density(np.eye(dim) + D, law), expected, rtol=1e-5)
 
 
-# ------------------------------------------------------------------------------------------------- invariance
+# ---------------------------------------------------------------------------------------- invariance
 
 
 @ISOTROPIC_LAWS
@@ -222,7 +226,7 @@ def test_plane_strain_is_the_law_in_space(name: str) -> None:
     assert (np.abs(tangent).max(axis=(1, 2, 3, 4)) / size).max() < 1e-12
 
 
-# ------------------------------------------------------------------------------------------------- closed forms
+# ---------------------------------------------------------------------------------------- closed forms
 
 
 def uniaxial(law: Law, stretch: float) -> tuple[float, float]:
@@ -300,7 +304,7 @@ def test_uniaxial_stretch_against_tabulated_values(name: str, b: float, P11: flo
     assert stress == pytest.approx(P11, abs=5e-7)
 
 
-# ------------------------------------------------------------------------------------------------- in stretches
+# ---------------------------------------------------------------------------------------- in stretches
 
 
 @ISOTROPIC_LAWS
@@ -308,7 +312,10 @@ def test_uniaxial_stretch_against_tabulated_values(name: str, b: float, P11: flo
 def test_stretch_functions_agree_with_those_of_F(name: str, dim: int) -> None:
     law = law_of(name, dim)
     kinds = ("stretched", "compressed", "mixed", "repeated", "nearly rest")
-    listed = [s[:dim] for kind in kinds for s in STRETCHES_3D[kind]] + [(1.4, 1.0, 1.0)[:dim], (0.6, 1.2, 1.0)[:dim]]
+    listed = [s[:dim] for kind in kinds for s in STRETCHES_3D[kind]] + [
+        (1.4, 1.0, 1.0)[:dim],
+        (0.6, 1.2, 1.0)[:dim],
+    ]
     if name != "logarithmic_neo_hookean":
         listed += [(1.2, 0.9, -0.5)[3 - dim :]]
     pairs = [(1, 2), (2, 0), (0, 1)] if dim == 3 else [(0, 1)]
@@ -334,7 +341,7 @@ def test_twist_and_flip_are_the_quotients_they_stand_for(name: str) -> None:
         assert flip[k] == pytest.approx((gradient[i] - gradient[j]) / (s[i] - s[j]), rel=1e-12, abs=1e-14)
 
 
-# ------------------------------------------------------------------------------------------------- out of bounds
+# ---------------------------------------------------------------------------------------- out of bounds
 
 
 @BOTH_DIMENSIONS

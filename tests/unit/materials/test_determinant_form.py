@@ -45,7 +45,8 @@ def test_never_wrong_and_often_true_2d() -> None:
 
 @pytest.mark.parametrize("stretch", [(1.0, 1.0, 1.0), (1.5, 0.95, 0.95), (1.1, 1.1, 1.0), (2.0, 2.0, 2.0)])
 def test_tension_of_a_neo_hookean_body_is_recognised(stretch: tuple[float, float, float]) -> None:
-    # mu = 1, lambda^ = 2.5 (Poisson's ratio 0.3); the twist value of the pair (1, 2) is mu + g' s_0 >= 0 here.
+    # mu = 1, lambda^ = 2.5 (Poisson's ratio 0.3); the twist value of the pair (1, 2) is mu + g' s_0 >= 0
+    # here.
     a, b, c = stretch
     J = a * b * c
     g1 = 2.5 * (J - 1.0) - 1.0

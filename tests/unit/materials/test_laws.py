@@ -91,7 +91,7 @@ def test_with_precision_converts_every_parameter() -> None:
     assert all(type(value) is np.float32 for value in law)  # type: ignore[attr-defined]
 
 
-# ------------------------------------------------------------------------------------------------- dispatch
+# ---------------------------------------------------------------------------------------- dispatch
 
 F3 = (1.1, 0.2, -0.1, 0.05, 0.9, 0.0, 0.3, 0.1, 1.2)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import subprocess
@@ -202,9 +203,35 @@ def test_same_mesh_again_and_in_another_process() -> None:
     assert other.strip() == hashlib.sha256(mesh.points.tobytes() + mesh.cells.tobytes()).hexdigest()
 
 
-def test_too_fine_is_refused_at_once() -> None:
-    with pytest.raises(MeshError, match=r"element_size 0\.0001 m would give about .* cells"):
-        build(recipe="sphere", element_size=1e-4)
+@pytest.mark.parametrize(
+    "block",
+    [
+        {"recipe": "sphere", "element_size": 1e-4},
+        {"recipe": "sphere", "element_size": 1e-250, "radius": 1e-200},
+        {"recipe": "beam", "size": [1e4, 1e4, 1e-2], "element_size": 0.1},
+        {"recipe": "beam", "size": [1e7, 100.0, 100.0], "element_size": 0.1},
+        {"recipe": "rubber_mount", "plate_element_size": 1e-5},
+    ],
+)
+def test_too_fine_is_refused_at_once(block: dict[str, Any]) -> None:
+    with pytest.raises(MeshError, match=r"recipe \w+: element_size \S+ m would give about \S+ cells"):
+        build(**block)
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        {"recipe": "cylinder", "hole_radius": 1e-6},
+        {"recipe": "cylinder", "radius": 1e-4},
+        {"recipe": "torus", "tube_radius": 1e-3},
+        {"recipe": "ellipsoid", "semi_axes": [1.0, 1.0, 1e-3]},
+        {"recipe": "spherical_shell", "thickness": 1e-4},
+        {"recipe": "rubber_mount", "bolt_hole_radius": 1e-7, "element_size": 0.01},
+    ],
+)
+def test_thin_features_end_in_a_mesh_or_a_mesh_error(block: dict[str, Any]) -> None:
+    with contextlib.suppress(MeshError):
+        assert build(**block).n_cells < 300_000
 
 
 def test_threads_take_turns() -> None:

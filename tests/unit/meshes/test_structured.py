@@ -41,6 +41,12 @@ def test_benchmark_blocks(cells: int, n_points: int, n_cells: int) -> None:
     assert signed_measures(mesh.points, mesh.cells).sum() == pytest.approx(1.0, rel=1e-12)
 
 
+@pytest.mark.parametrize("cells", [[3, 4, 5], [1, 1, 1], [4, 3], [2]])
+def test_block_boundary_is_that_of_its_cells(cells: list[int]) -> None:
+    mesh = build(recipe="block", size=[1.0] * len(cells), cells=cells)
+    assert np.array_equal(mesh.facet_groups["boundary"], boundary_facets(mesh.cells))
+
+
 @pytest.mark.parametrize(("split", "per_cell"), [(5, 5), (6, 6)])
 def test_block_in_3d(split: int, per_cell: int, check_solid: Callable[..., None]) -> None:
     mesh = build(recipe="block", size=[1.0, 0.5, 0.25], cells=[4, 3, 5], split=split)
