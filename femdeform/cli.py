@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -14,6 +15,8 @@ from femdeform.errors import FemdeformError, InputError
 _BAD_INPUT = 2
 _ENVIRONMENT = 4
 _INTERRUPTED = 130
+# Seconds by which other ranks let the first one report an error.
+_HEAD_START = 1.0
 
 _DESCRIPTION = "Large-deformation simulation: many implicit solvers behind one scene file."
 _EPILOG = """\
@@ -47,6 +50,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Text of a scene may hold what a terminal's encoding lacks; that must not end a run.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+    code = _execute(argv)
+    if code != 0 and not _is_first_rank() and "mpi4py.MPI" not in sys.modules:
+        # A launcher ends all ranks when one fails; without MPI nothing else lets the first one finish its message.
+        time.sleep(_HEAD_START)
+    return code
+
+
+def _execute(argv: Sequence[str] | None) -> int:
     parser = build_parser()
     try:
         arguments = parser.parse_args(argv)
@@ -117,13 +128,9 @@ class _Version(argparse.Action):
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
-    parser: argparse.ArgumentParser = _parser(
-        _Parser, prog="femdeform", description=_DESCRIPTION, epilog=_EPILOG
-    )
+    parser: argparse.ArgumentParser = _parser(_Parser, prog="femdeform", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
-    commands = parser.add_subparsers(
-        dest="command", metavar="COMMAND", title="commands", parser_class=_Parser
-    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands", parser_class=_Parser)
 
     def add(name: str, execute: Callable[[argparse.Namespace], int], help: str, epilog: str) -> Any:
         description = help[0].upper() + help[1:] + "."
@@ -137,9 +144,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     run = add("run", _run, "run a scene and write a result folder", _RUN_EPILOG)
     run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (YAML)")
-    run.add_argument(
-        "--out", type=Path, metavar="DIR", help="result folder (default: results/<name of the scene>)"
-    )
+    run.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: results/<name of the scene>)")
     _add_set(run)
     run.add_argument("--resume", action="store_true", help="go on from the result folder's checkpoint")
     run.add_argument("--trace", action="store_true", help="write iterations.csv, one row an iteration")
@@ -165,18 +170,12 @@ def build_parser() -> argparse.ArgumentParser:
 
     report = add("report", _report, "write one self-contained HTML page about a result", _REPORT_EPILOG)
     report.add_argument("result", type=Path, metavar="RESULT", help="result folder")
-    report.add_argument(
-        "--out", type=Path, metavar="FILE", help="page to write (default: in the result folder)"
-    )
+    report.add_argument("--out", type=Path, metavar="FILE", help="page to write (default: in the result folder)")
 
     mesh = add("mesh", _mesh, "make a mesh by a recipe, or describe a mesh file", _MESH_EPILOG)
-    mesh.add_argument(
-        "recipe", nargs="?", metavar="RECIPE", help="name of a recipe, such as block or rubber_mount"
-    )
+    mesh.add_argument("recipe", nargs="?", metavar="RECIPE", help="name of a recipe, such as block or rubber_mount")
     mesh.add_argument("--info", type=Path, metavar="FILE", help="describe a mesh file instead")
-    mesh.add_argument(
-        "--out", type=Path, metavar="FILE", help="mesh file to write; the ending says which format"
-    )
+    mesh.add_argument("--out", type=Path, metavar="FILE", help="mesh file to write; the ending says which format")
     _add_set(mesh)
 
     bench = add("bench", _bench, "run the benchmarks", _BENCH_EPILOG)
@@ -190,9 +189,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _parser(make: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     # Abbreviated options would change their meaning when a longer one is added.
-    return make(
-        *arguments, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options
-    )
+    return make(*arguments, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
 
 
 def _add_set(parser: argparse.ArgumentParser) -> None:

@@ -22,6 +22,7 @@ class StepProblem(Protocol):
     partition: Partition
     free: BoolArray
     force_scale: float
+    value_magnitude: float  # sum of the sizes of the terms of the last `value`, which may cancel [J]
 
     def initial_guess(self, state: Any) -> FloatArray:
         """Positions of the last state with the prescribed values of this step."""

@@ -14,8 +14,10 @@ from femdeform.step_problem import IterationObserver, StepProblem, StepResult
 from femdeform.types import FloatArray
 from solvers.linear.interface import LinearSolver
 
-# Phi is a sum of terms that cancel: differences below this fraction of it are rounding.
-_VALUE_NOISE = 1e-13
+# Phi is a sum of terms that cancel. Where a step promises less than this fraction of them, the residual judges it,
+# because differences of Phi may be rounding; so short a way from the solution few backtracks make sense.
+_FLAT = 1e-8
+_FLAT_BACKTRACKS = 6
 
 
 @dataclass
@@ -59,8 +61,6 @@ class ProjectedNewton:
     ----------
     J. Teran et al., Robust quasistatic finite elements and flesh simulation (2005): clamping of element Hessians.
     B. Smith, F. de Goes, T. Kim, Analytic eigensystems for isotropic distortion energies (2019).
-    W. Hager, H. Zhang, A new conjugate gradient method with guaranteed descent (2005): the approximate Wolfe test,
-    used where differences of Phi are rounding.
 
     Limitations
     -----------
@@ -114,7 +114,7 @@ class ProjectedNewton:
                 return result(False, f"no convergence in {iteration} iterations")
 
             problem.linearize_at(current.x)
-            value = problem.value(current.x)
+            value, magnitude = problem.value(current.x), problem.value_magnitude
             settled = previous_length == 1.0 and current.norm < 0.5 * previous_norm
             attempts = [True] if self.options.hessian == "projected" else [False]
             if self.options.hessian == "adaptive":
@@ -125,7 +125,7 @@ class ProjectedNewton:
                 linear_iterations += direction.iterations
                 if not direction.usable:
                     continue
-                length, found = self._line_search(problem, current, direction, value)
+                length, found = self._line_search(problem, current, direction, value, magnitude)
                 if found is not None:
                     break
             assert direction is not None
@@ -186,23 +186,20 @@ class ProjectedNewton:
         return _Direction(answer.x, slope, answer.iterations, project, usable, reason)
 
     def _line_search(
-        self, problem: StepProblem, current: _Iterate, direction: _Direction, value: float
+        self, problem: StepProblem, current: _Iterate, direction: _Direction, value: float, magnitude: float
     ) -> tuple[float, _Iterate | None]:
         """Step length and the iterate there; None if no admissible length gives a decrease."""
         search = self.options.line_search
         length = problem.max_step(current.x, direction.step)
-        noise = _VALUE_NOISE * abs(value)
-        for _ in range(search.max_backtracks + 1):
+        is_flat = -direction.slope <= _FLAT * magnitude
+        for _ in range(1 + (_FLAT_BACKTRACKS if is_flat else search.max_backtracks)):
             x = current.x + length * direction.step
-            trial = problem.value(x)
-            if trial <= value + search.armijo * length * direction.slope:
-                return length, self._evaluate(problem, x)
-            if trial <= value + noise:
-                # Too close for differences of Phi: the slope at the new point decides instead.
+            if is_flat:
                 candidate = self._evaluate(problem, x)
-                slope = problem.partition.dot(candidate.residual, direction.step)
-                if 0.9 * direction.slope <= slope <= (2.0 * search.armijo - 1.0) * direction.slope:
+                if candidate.norm <= (1.0 - 0.5 * length) * current.norm:
                     return length, candidate
+            elif problem.value(x) <= value + search.armijo * length * direction.slope:
+                return length, self._evaluate(problem, x)
             length *= search.shrink
         return length, None
 

@@ -104,6 +104,7 @@ class IncrementalPotential:
         self.dt = 1.0
         self.time = 0.0
         self.force_scale = 1.0
+        self.value_magnitude = 0.0
         self.load = np.zeros((n, self.dim))
         self._x_hat = np.zeros((n, self.dim))
 
@@ -175,14 +176,13 @@ class IncrementalPotential:
 
     def value(self, x: FloatArray) -> float:
         """Phi(x) [J], without the constant that pressure has none of; inf where a law is not defined."""
-        n = self.partition.n_owned
-        local = sum(term.value(x) for term in self._terms) + sum(contact.value(x) for contact in self.contacts)
-        local -= float(np.vdot(self.load[:n], x[:n] - self._reference[:n]))
-        total = self.partition.sum(local)
+        parts = [self.partition.sum(part.value(x)) for part in [*self._terms, *self.contacts]]
+        parts.append(-self.partition.dot(self.load, x - self._reference))
         if not self.quasistatic:
             offset = x - self._x_hat
-            total += 0.5 / self.dt**2 * self.partition.dot(offset, self._apply_mass(offset))
-        return total
+            parts.append(0.5 / self.dt**2 * self.partition.dot(offset, self._apply_mass(offset)))
+        self.value_magnitude = sum(abs(part) for part in parts)
+        return sum(parts)
 
     def internal_forces(self, x: FloatArray) -> FloatArray:
         """Gradient of the elastic energy and of pressure and contact [N], (n_local, dim), no inertia, no dead load."""

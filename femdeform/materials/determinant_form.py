@@ -166,7 +166,7 @@ def is_surely_convex_3d(F: Matrix3, J: float, m: float, g1: float, g2: float) ->
         F[2] * F[2] + F[5] * F[5] + F[8] * F[8],
     )
     if g1 >= 0.0:
-        return g2 >= 0.0 and g1 * g1 * (xx + yy + zz) <= 4.0 * m * m
+        return g2 >= 0.0 and g1 * g1 * (xx + yy + zz) <= m * m
     if 3.0 * J * g2 < -2.0 * g1:
         return False
     xy, yz, zx = (

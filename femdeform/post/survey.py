@@ -69,15 +69,15 @@ def survey(
                 raise InputError(f"{result.folder}: there is nothing to show, the frames have no cells")
             corners.append(_bounds(frame.points[surface.nodes]))
         corners.append(_bounds(frame.positions[surface.nodes]))
+        if not np.all(np.isfinite(corners[-1])):
+            raise InputError(f"{result.frames[index].path}: the displacements are not finite")
         ranges.append(value_range(_visible_values(select_field(frame, field, result.folder), surface)))
         if progress is not None:
             progress()
     if surface is None:
         raise InputError(f"{result.folder}: there are no frames in this result")
     stacked = np.stack(corners)
-    box = np.stack([np.nanmin(stacked[:, 0], axis=0), np.nanmax(stacked[:, 1], axis=0)])
-    if not np.all(np.isfinite(box)):
-        raise InputError(f"{result.folder}: the displacements of the frames are not finite")
+    box = np.stack([stacked[:, 0].min(axis=0), stacked[:, 1].max(axis=0)])
     lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
     gravity = resolved_or_empty(result).get("gravity")
     flat = box[1, 2] == box[0, 2] and not (isinstance(gravity, list) and len(gravity) == 3)

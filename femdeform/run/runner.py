@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -133,6 +134,8 @@ class _Run:
         self.quiet = quiet
         self.begin = time.perf_counter()
         self.threads = set_threads(threads)
+        # PETSc's BLAS is loaded later and would take all cores on every rank.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", str(self.threads))
         self.progress = Progress(self.scene.time.end, self.is_first and not quiet)
         self.simulation: Simulation = build_simulation(self.scene, meshes, comm)
         self.frames = FrameSource(self.simulation)
@@ -204,6 +207,7 @@ class _Run:
             "seconds": now - self.step_begin,
             "force_scale": problem.force_scale,
             "failed_attempts": self.n_failures,
+            "stopped_by": result.reason,
         }
         self.n_failures = 0
         if self.recorder is not None:

@@ -168,6 +168,8 @@ def _read_lines(path: Path) -> tuple[list[str], list[list[str]]]:
 
 
 def _steps(path: Path, columns: list[str], rows: list[list[str]]) -> list[int]:
+    if not rows:
+        return []
     try:
         index = columns.index("step")
         return [int(row[index]) for row in rows]

@@ -129,10 +129,7 @@ def telling_keys(member: Expected, members: Sequence[Expected]) -> set[str]:
         required = {member.discriminator}
     else:
         required = {
-            key
-            for model in alternatives(member)
-            for key, info in fields_of(model).items()
-            if info.is_required()
+            key for model in alternatives(member) for key, info in fields_of(model).items() if info.is_required()
         }
     others = {key for other in members if other is not member for key in known_keys(other)}
     return required - others

@@ -84,9 +84,7 @@ def _region_findings(body: schema.Body, mesh: Mesh, path: KeyPath) -> Iterator[F
         if region in mesh.group_names():
             yield Finding((*path, region), f"`{region}` is a group of the boundary, not of cells")
         else:
-            yield Finding(
-                (*path, region), f"there is no group of cells `{region}`; {_hint(region, mesh.cell_groups)}"
-            )
+            yield Finding((*path, region), f"there is no group of cells `{region}`; {_hint(region, mesh.cell_groups)}")
     if unknown:
         return
     if (count > 1).any():
@@ -136,9 +134,7 @@ def _rotation_findings(condition: schema.Condition, dim: int, path: KeyPath) -> 
         elif dim == 2 and condition.axis is not None:
             yield Finding((*path, "axis"), "not allowed in a 2D scene, where every rotation is about z")
         elif condition.axis is not None and len(condition.axis) != dim:
-            yield Finding(
-                (*path, "axis"), f"needs {dim} entries in a {dim}D scene, not {len(condition.axis)}"
-            )
+            yield Finding((*path, "axis"), f"needs {dim} entries in a {dim}D scene, not {len(condition.axis)}")
     elif isinstance(condition, schema.InitialVelocity) and condition.angular_velocity is not None:
         spin = condition.angular_velocity
         if dim == 3 and not isinstance(spin, tuple):
@@ -185,13 +181,9 @@ def _selection_findings(
 ) -> Iterator[Finding]:
     for index, condition in enumerate(scene.conditions):
         needs_facets = isinstance(condition, _NEEDS_FACETS)
-        yield from _judge_selection(
-            condition.on, ("conditions", index, "on"), scene, meshes, coarse, needs_facets
-        )
+        yield from _judge_selection(condition.on, ("conditions", index, "on"), scene, meshes, coarse, needs_facets)
     for index, expected in enumerate(scene.expect.displacement):
-        yield from _judge_selection(
-            expected.on, ("expect", "displacement", index, "on"), scene, meshes, coarse, False
-        )
+        yield from _judge_selection(expected.on, ("expect", "displacement", index, "on"), scene, meshes, coarse, False)
 
 
 def _judge_selection(
@@ -211,9 +203,7 @@ def _judge_selection(
         return
     concerned = [selection.body] if selection.body is not None else list(scene.bodies)
     if isinstance(selection, schema.NodeSelection) and len(concerned) > 1:
-        message = (
-            f"with several bodies, `body` has to say whose nodes are meant; {did_you_mean('', scene.bodies)}"
-        )
+        message = f"with several bodies, `body` has to say whose nodes are meant; {did_you_mean('', scene.bodies)}"
         yield Finding((*path, "body"), f"missing; {message}")
         return
     judged = {name: meshes[name] for name in concerned if name in meshes and name not in coarse}
@@ -227,7 +217,7 @@ def _judge_selection(
     except InputError as error:
         yield Finding((*path, "nodes"), error.faults[0].message)
         return
-    yield from _judge_extent(found, selection, path, judged, needs_facets, "the place")
+    yield from _judge_extent(found, selection, path, scene, judged, needs_facets, "the place")
 
 
 def _judge_name(
@@ -249,21 +239,29 @@ def _judge_name(
         listed = f" (groups: {', '.join(known)})" if hint.startswith("did") else ""
         yield Finding(path, f"body `{body}` has no group `{group}`; {hint}{listed}")
         return
-    yield from _judge_extent(select_nodes(name, meshes), name, path, meshes, needs_facets, f"`{name}`")
+    yield from _judge_extent(select_nodes(name, meshes), name, path, scene, meshes, needs_facets, f"`{name}`")
 
 
 def _judge_extent(
     nodes: Mapping[str, Any],
     selection: schema.Selection,
     path: KeyPath,
+    scene: schema.DeformableScene,
     meshes: Mapping[str, Mesh],
     needs_facets: bool,
     subject: str,
 ) -> Iterator[Finding]:
     if not nodes:
         yield Finding(path, f"selects nothing: no node lies there ({_extent(meshes)})")
-    elif needs_facets and not select_facets(selection, meshes):
-        yield Finding(path, f"{subject} holds nodes, but no facet of the boundary for the load to act on")
+    elif needs_facets:
+        # The border of a membrane is a line, the end of a rod a point: neither has an area, nor a normal.
+        others = [body for body in nodes if scene.bodies[body].kind != "solid"]
+        if others:
+            kind = scene.bodies[others[0]].kind
+            message = f"body `{others[0]}` is a {kind}, but this load acts on facets of solids; use point_load"
+            yield Finding(path, message)
+        elif not select_facets(selection, meshes):
+            yield Finding(path, f"{subject} holds nodes, but no facet of the boundary for the load to act on")
 
 
 def _extent(meshes: Mapping[str, Mesh]) -> str:

@@ -85,9 +85,7 @@ def read_document(path: Path) -> Document:
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         return _unreadable(1, "is UTF-16 text; save it as UTF-8")
     if b"\x00" in raw:
-        return _unreadable(
-            raw[: raw.index(b"\x00")].count(b"\n") + 1, "is not a text file (it holds a zero byte)"
-        )
+        return _unreadable(raw[: raw.index(b"\x00")].count(b"\n") + 1, "is not a text file (it holds a zero byte)")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -161,9 +159,7 @@ class _Extraction:
             if self._aliased > MAX_ALIASED_VALUES:
                 if self._aliased == MAX_ALIASED_VALUES + 1:
                     # Everything after this is cut short, so nothing else of the file can be judged.
-                    self._fault(
-                        (), node.line, f"aliases repeat more than {MAX_ALIASED_VALUES} values", hides=True
-                    )
+                    self._fault((), node.line, f"aliases repeat more than {MAX_ALIASED_VALUES} values", hides=True)
                 return None
         if len(path) > MAX_DEPTH:
             self._fault(path[:1], node.line, f"aliases nest more than {MAX_DEPTH} levels deep", hides=True)
@@ -201,9 +197,7 @@ class _Extraction:
             self._fault(path, node.line, f"a key {node.problem}")
         elif not isinstance(node.value, str):
             word = json.dumps(node.value)
-            self._fault(
-                path, node.line, f'the key {word} is not text; names are text, in quotes if need be: "{word}"'
-            )
+            self._fault(path, node.line, f'the key {word} is not text; names are text, in quotes if need be: "{word}"')
         elif node.value == "<<":
             message = "merge keys (`<<`) are not part of YAML 1.2; write the keys out"
             self._fault(path, node.line, message, hides=True)

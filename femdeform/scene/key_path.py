@@ -14,9 +14,7 @@ def quoted(text: str, limit: int = 40) -> str:
     """Text in double quotes on one line, shortened, with every unprintable character escaped."""
     if len(text) > limit:
         text = text[: limit - 3] + "..."
-    return "".join(
-        c if c.isprintable() else json.dumps(c)[1:-1] for c in json.dumps(text, ensure_ascii=False)
-    )
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in json.dumps(text, ensure_ascii=False))
 
 
 def format_key(path: KeyPath) -> str:
@@ -26,7 +24,5 @@ def format_key(path: KeyPath) -> str:
         if isinstance(part, int):
             result += f"[{part}]"
         else:
-            result += "." * bool(result) + (
-                part if _PLAIN_KEY.fullmatch(part) and len(part) <= 40 else quoted(part)
-            )
+            result += "." * bool(result) + (part if _PLAIN_KEY.fullmatch(part) and len(part) <= 40 else quoted(part))
     return result

@@ -149,9 +149,7 @@ def scene_hash(data: Any) -> str:
 
 def sort_faults(faults: Iterable[Fault]) -> list[Fault]:
     """Faults by file and line, without repetitions; what has no line (overrides) comes last."""
-    return sorted(
-        set(faults), key=lambda fault: (fault.line == 0, fault.file, fault.line, fault.key, fault.message)
-    )
+    return sorted(set(faults), key=lambda fault: (fault.line == 0, fault.file, fault.line, fault.key, fault.message))
 
 
 def _schema_faults(document: Document, data: Any, source: Source) -> list[Fault]:

@@ -145,15 +145,11 @@ def _missing_file(loaded: LoadedScene, source: FileMesh) -> str:
             return ""
         if path.is_dir():
             return f"{source.file} is a folder, not a mesh file"
-        beside = (
-            [item.name for item in path.parent.iterdir() if item.is_file()] if path.parent.is_dir() else []
-        )
+        beside = [item.name for item in path.parent.iterdir() if item.is_file()] if path.parent.is_dir() else []
     except (OSError, ValueError) as error:
         return f"cannot be read: {getattr(error, 'strerror', None) or error}"
     hint = did_you_mean(path.name, beside)
-    return f"there is no file {source.file} beside the scene" + (
-        f"; {hint}" if hint.startswith("did") else ""
-    )
+    return f"there is no file {source.file} beside the scene" + (f"; {hint}" if hint.startswith("did") else "")
 
 
 def _coarsened(source: MeshSource, patience: float) -> MeshSource | None:
@@ -161,16 +157,15 @@ def _coarsened(source: MeshSource, patience: float) -> MeshSource | None:
     if isinstance(source, FileMesh):
         return None
     values = {str(key): value for key, value in source}
-    counts = [values[key] for key in ("cells", "meshes", "segments") if key in values]
+    # A net of rods is cut out of a grid with `segments` squared cells an opening.
+    counts = [values[key] for key in ("cells", "meshes", "segments", "segments") if key in values]
     if counts:
         cells = math.prod(math.prod(count) if isinstance(count, tuple) else count for count in counts)
         if cells <= patience * _QUICK_CELLS:
             return None
         update: dict[str, Any] = {
             # Four cells keep the middle node that an even number has.
-            key: tuple(min(n, 4) for n in values[key])
-            if isinstance(values[key], tuple)
-            else min(values[key], 4)
+            key: tuple(min(n, 4) for n in values[key]) if isinstance(values[key], tuple) else min(values[key], 4)
             for key in ("cells", "meshes", "segments")
             if key in values
         }

@@ -51,14 +51,10 @@ def parse_override(text: str) -> tuple[Override | None, list[Fault]]:
     key, equals, value = text.partition("=")
     key = key.strip()
     if not equals or not key:
-        return None, [
-            Fault(source, 0, "", "must be key=value, for example time.dt=0.01 or conditions[0].rate=2")
-        ]
+        return None, [Fault(source, 0, "", "must be key=value, for example time.dt=0.01 or conditions[0].rate=2")]
     path = _parse_key(key)
     if path is None:
-        return None, [
-            Fault(source, 0, "", f"{quoted(key)} is not a key; keys look like bodies.beam.material.density")
-        ]
+        return None, [Fault(source, 0, "", f"{quoted(key)} is not a key; keys look like bodies.beam.material.density")]
     document: Document = parse_value(value)
     faults = [Fault(source, 0, format_key(path + fault.path), fault.message) for fault in document.faults]
     return (None, faults) if faults else (Override(text, path, document.data), [])
@@ -141,11 +137,7 @@ def _step(target: Any, part: str | int, here: KeyPath) -> tuple[Any, str]:
     if isinstance(target, dict):
         return (part, "") if isinstance(part, str) else (None, f"{name} is a mapping, not a list")
     if isinstance(target, list):
-        index = (
-            int(part)
-            if isinstance(part, str) and part.isascii() and part.isdigit() and len(part) < 10
-            else part
-        )
+        index = int(part) if isinstance(part, str) and part.isascii() and part.isdigit() and len(part) < 10 else part
         if not isinstance(index, int):
             return None, f"{name} is a list; give an index, as in {format_key((*here, 0))}"
         if index >= len(target):

@@ -76,15 +76,11 @@ class LinearMaterial(_LameMaterial):
 
 
 class SaintVenantKirchhoffMaterial(_LameMaterial):
-    law: Literal["saint_venant_kirchhoff"] = Field(
-        description="St. Venant-Kirchhoff: large rotations, small strains"
-    )
+    law: Literal["saint_venant_kirchhoff"] = Field(description="St. Venant-Kirchhoff: large rotations, small strains")
 
 
 class ARAPMaterial(_LameMaterial):
-    law: Literal["arap"] = Field(
-        description="as-rigid-as-possible, mu |F - R|^2: no resistance to volume change"
-    )
+    law: Literal["arap"] = Field(description="as-rigid-as-possible, mu |F - R|^2: no resistance to volume change")
     poisson_ratio: float = Field(
         default=0.0,
         gt=-1.0,
@@ -137,15 +133,11 @@ Material = Annotated[
 
 class _BodyModel(SceneModel):
     mesh: MeshSource = Field(description="mesh of the body: {recipe: NAME, ...} or {file: PATH, ...}")
-    material: Material | None = Field(
-        default=None, description="material of every cell without a region of its own"
-    )
+    material: Material | None = Field(default=None, description="material of every cell without a region of its own")
     regions: dict[str, Material] = Field(
         default_factory=dict, description="materials of named cell groups, over `material`"
     )
-    element_order: Literal[1, 2] = Field(
-        default=1, description="polynomial order of the displacement, P1 or P2"
-    )
+    element_order: Literal[1, 2] = Field(default=1, description="polynomial order of the displacement, P1 or P2")
     mass: Literal["lumped", "consistent"] = Field(
         default="lumped", description="mass matrix; lumped is row sum for P1, diagonal scaling (HRZ) for P2"
     )
@@ -158,9 +150,7 @@ class _BodyModel(SceneModel):
 
 
 class SolidBody(_BodyModel):
-    kind: Literal["solid"] = Field(
-        default="solid", description="tetrahedra in 3D, triangles (plane strain) in 2D"
-    )
+    kind: Literal["solid"] = Field(default="solid", description="tetrahedra in 3D, triangles (plane strain) in 2D")
 
 
 class MembraneBody(_BodyModel):
@@ -186,9 +176,7 @@ Body = Annotated[
 
 def _check_corners(key: str, low: tuple[float, ...], high: tuple[float, ...]) -> None:
     if len(low) == len(high) and any(a > b for a, b in zip(low, high, strict=True)):
-        raise ValueError(
-            f"{key}: the lowest corner comes first, and no component of it may exceed the highest"
-        )
+        raise ValueError(f"{key}: the lowest corner comes first, and no component of it may exceed the highest")
 
 
 class BoxSelection(SceneModel):
@@ -229,15 +217,11 @@ class SphereSelection(SceneModel):
 
 class NodeSelection(SceneModel):
     nodes: list[Annotated[int, Field(ge=0)]] = Field(min_length=1, description="0-based points of the mesh")
-    body: str | None = Field(
-        default=None, description="body the numbers refer to; needed with several bodies"
-    )
+    body: str | None = Field(default=None, description="body the numbers refer to; needed with several bodies")
 
 
 # A name is `body` (all of it) or `body.group`.
-Selection = (
-    Annotated[str, Field(min_length=1)] | BoxSelection | PlaneSelection | SphereSelection | NodeSelection
-)
+Selection = Annotated[str, Field(min_length=1)] | BoxSelection | PlaneSelection | SphereSelection | NodeSelection
 
 
 # ------------------------------------------------------------------------------------------------ conditions
@@ -307,9 +291,7 @@ class Rotate(_Motion):
     axis: Direction | None = Field(
         default=None, description="axis of rotation, of any length [-]; needed in 3D, not allowed in 2D"
     )
-    center: Vector | None = Field(
-        default=None, description="a point of the axis [m]; default: centroid of the group"
-    )
+    center: Vector | None = Field(default=None, description="a point of the axis [m]; default: centroid of the group")
 
 
 class Twist(Rotate):
@@ -324,16 +306,12 @@ class Twist(Rotate):
 class Path(_ConditionModel):
     kind: Literal["path"] = Field(description="moves along a given path")
     times: list[Finite] = Field(min_length=2, description="increasing times [s]")
-    displacements: list[Vector] = Field(
-        min_length=2, description="displacement at each time, linear between [m]"
-    )
+    displacements: list[Vector] = Field(min_length=2, description="displacement at each time, linear between [m]")
 
     @model_validator(mode="after")
     def _consistent(self) -> Path:
         if len(self.times) != len(self.displacements):
-            raise ValueError(
-                f"displacements: {len(self.displacements)} displacements for {len(self.times)} times"
-            )
+            raise ValueError(f"displacements: {len(self.displacements)} displacements for {len(self.times)} times")
         _check_increasing(self.times)
         return self
 
@@ -496,17 +474,11 @@ LinearSolver = Annotated[
 
 
 class OnFailure(SceneModel):
-    action: Literal["halve_dt", "stop"] = Field(
-        default="halve_dt", description="what to do when a step fails"
-    )
-    min_dt: Positive | None = Field(
-        default=None, description="smallest step before stopping [s]; default dt / 64"
-    )
+    action: Literal["halve_dt", "stop"] = Field(default="halve_dt", description="what to do when a step fails")
+    min_dt: Positive | None = Field(default=None, description="smallest step before stopping [s]; default dt / 64")
 
 
-OutputField = Literal[
-    "displacement", "velocity", "von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"
-]
+OutputField = Literal["displacement", "velocity", "von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"]
 
 
 class Output(SceneModel):
@@ -544,9 +516,7 @@ class Expect(SceneModel):
     kinetic_energy: ExpectedValue | None = Field(default=None, description="kinetic energy [J]")
     max_displacement: ExpectedValue | None = Field(default=None, description="largest nodal displacement [m]")
     min_jacobian: ExpectedValue | None = Field(default=None, description="smallest det F [-]")
-    displacement: list[ExpectedDisplacement] = Field(
-        default_factory=list, description="mean displacements [m]"
-    )
+    displacement: list[ExpectedDisplacement] = Field(default_factory=list, description="mean displacements [m]")
 
 
 class DeformableScene(SceneModel):
@@ -573,13 +543,9 @@ class DeformableScene(SceneModel):
     linear_solver: LinearSolver = Field(
         default=KSPLinearSolver(), description="what solves the linear systems inside the solver"
     )
-    on_failure: OnFailure = Field(
-        default=OnFailure(), description="what happens when a step does not converge"
-    )
+    on_failure: OnFailure = Field(default=OnFailure(), description="what happens when a step does not converge")
     output: Output = Field(default=Output(), description="what is written, and how often")
-    expect: Expect = Field(
-        default=Expect(), description="values at the end of the run that `run` compares with"
-    )
+    expect: Expect = Field(default=Expect(), description="values at the end of the run that `run` compares with")
 
 
 Scene = DeformableScene

@@ -47,9 +47,7 @@ def select_nodes(selection: Selection, meshes: Mapping[str, Mesh]) -> dict[str, 
         ((body, mesh),) = chosen.items()
         nodes = np.unique(np.array(selection.nodes, dtype=np.int64))
         if nodes[-1] >= mesh.n_points:
-            raise InputError(
-                f"node {nodes[-1]} is out of range; body `{body}` has {mesh.n_points} nodes, from 0"
-            )
+            raise InputError(f"node {nodes[-1]} is out of range; body `{body}` has {mesh.n_points} nodes, from 0")
         return {body: nodes}
     size = _size(chosen)
     inside = {body: np.flatnonzero(_is_inside(selection, mesh.points, size)) for body, mesh in chosen.items()}

@@ -76,8 +76,7 @@ def _judge_collection(expected: Expected, value: Any, path: KeyPath) -> list[Fin
         name_type, item_type = take_apart(arguments[0]), take_apart(arguments[1])
         for key, item in value.items():
             findings += [
-                Finding((*path, key), f"the name {found.message}")
-                for found in _judge_leaf(name_type, key, ())
+                Finding((*path, key), f"the name {found.message}") for found in _judge_leaf(name_type, key, ())
             ]
             findings += _judge(item_type, item, (*path, key))
     else:
@@ -139,9 +138,7 @@ def _judge_tagged(expected: Expected, value: Any, path: KeyPath) -> list[Finding
     return shared if tag not in value and is_misspelt else [finding, *shared]
 
 
-def _judge_shared(
-    models: Sequence[type[BaseModel]], tag: str, value: dict[str, Any], path: KeyPath
-) -> list[Finding]:
+def _judge_shared(models: Sequence[type[BaseModel]], tag: str, value: dict[str, Any], path: KeyPath) -> list[Finding]:
     findings: list[Finding] = []
     known = {key for model in models for key in fields_of(model)}
     first, *others = map(fields_of, models)
@@ -193,10 +190,7 @@ def _unknown(
     tag: str,
 ) -> str:
     owners = [
-        word
-        for model in siblings
-        if key in fields_of(model)
-        for word in get_args(model.model_fields[tag].annotation)
+        word for model in siblings if key in fields_of(model) for word in get_args(model.model_fields[tag].annotation)
     ]
     if owners:
         return f"not a key of {tag} `{value[tag]}`; it belongs to {', '.join(f'`{word}`' for word in owners)}"

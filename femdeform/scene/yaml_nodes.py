@@ -124,9 +124,7 @@ class Composer:
 
 def _alias(line: int, name: str, target: Node | None) -> Alias:
     if target is None:
-        return Alias(
-            line, name, None, f"the alias *{one_line(name)} has no anchor &{one_line(name)} before it"
-        )
+        return Alias(line, name, None, f"the alias *{one_line(name)} has no anchor &{one_line(name)} before it")
     if isinstance(target, (ListNode, MappingNode)) and target.is_open:
         return Alias(line, name, None, f"the alias *{one_line(name)} stands inside what it repeats")
     return Alias(line, name, target)
@@ -153,9 +151,7 @@ def _resolve_plain(text: str) -> tuple[Any, str]:
     if _FLOAT.fullmatch(text):
         number = float(text)
         return (
-            (number, "")
-            if math.isfinite(number)
-            else (None, "is too large for a number; the limit is about 1.8e308")
+            (number, "") if math.isfinite(number) else (None, "is too large for a number; the limit is about 1.8e308")
         )
     if _NOT_FINITE.fullmatch(text):
         return None, f"must be a finite number, not {text}"
@@ -187,9 +183,7 @@ def _resolve_tagged(tag: str, text: str) -> tuple[Any, str]:
     if name == "str":
         return (text, "") if not FORBIDDEN.search(text) else (None, "holds a character that is not allowed")
     value, problem = _resolve_plain(text)
-    if not problem and (
-        not isinstance(value, _CORE_TYPES[name]) or (isinstance(value, bool) and name != "bool")
-    ):
+    if not problem and (not isinstance(value, _CORE_TYPES[name]) or (isinstance(value, bool) and name != "bool")):
         return None, f"{quoted(text)} does not fit its tag !!{name}"
     return (float(value) if name == "float" and not problem else value), problem
 
@@ -216,9 +210,7 @@ def events(text: str) -> Iterator[Any]:
         ValueError,
     ):
         # The parser trips over some malformed directives and tags instead of reporting them.
-        raise UnreadableError(
-            1, "is not valid YAML: a directive, tag or escape in it is malformed"
-        ) from None
+        raise UnreadableError(1, "is not valid YAML: a directive, tag or escape in it is malformed") from None
 
 
 def _syntax_message(error: Any) -> str:
@@ -228,12 +220,7 @@ def _syntax_message(error: Any) -> str:
     if problem == "mapping values are not allowed here":
         return "is not valid YAML: unexpected `:`; is the indentation right, or a text with `:` unquoted?"
     context = error.context_mark
-    if (
-        context is not None
-        and error.context
-        and error.problem_mark
-        and context.line != error.problem_mark.line
-    ):
+    if context is not None and error.context and error.problem_mark and context.line != error.problem_mark.line:
         begin = f"{one_line(error.context)} that starts in line {context.line + 1}"
         return f"is not valid YAML: {problem} ({begin})"
     return f"is not valid YAML: {problem}"

@@ -45,7 +45,10 @@ def test_a_check_of_a_large_block_uses_a_small_one(scene_file: Write) -> None:
 
 
 def test_a_check_builds_the_mesh_that_a_place_is_sought_in(scene_file: Write) -> None:
-    overrides = ["bodies.beam.mesh.cells=[400, 15, 15]", "conditions[0].on={sphere: {center: [0, 0, 0], radius: 0.004}}"]
+    overrides = [
+        "bodies.beam.mesh.cells=[400, 15, 15]",
+        "conditions[0].on={sphere: {center: [0, 0, 0], radius: 0.004}}",
+    ]
     loaded = load_scene(scene_file(), overrides)
     survey = survey_meshes(loaded)
     assert survey.coarse == frozenset()
@@ -58,10 +61,10 @@ def test_a_check_builds_the_mesh_that_a_place_is_sought_in(scene_file: Write) ->
         "{recipe: block, size: [1, 1], cells: [600, 600]}",
         "{recipe: cloth, cells: [1000, 300]}",
         "{recipe: rod, cells: 100000}",
-        "{recipe: rod_net, meshes: [300, 200], segments: 10}",
+        "{recipe: rod_net, meshes: [40, 50], segments: 6}",
         "{recipe: cook, cells: [400, 400]}",
         "{recipe: flag, cells: [3000, 20]}",
-        "{recipe: cylinder, element_size: 0.02, hole_radius: 0.1}",
+        "{recipe: cylinder, element_size: 0.039, hole_radius: 0.2}",
         "{recipe: spherical_shell, element_size: 0.015, part: eighth}",
         "{recipe: plate_with_hole, element_size: 0.05, quarter: true}",
         "{recipe: rubber_mount, element_size: 0.0035}",

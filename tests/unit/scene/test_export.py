@@ -49,7 +49,9 @@ def test_the_gallery_is_valid(validator: Any, path: Path) -> None:
         ("time: {scheme: backward_euler, dt: 0.01, end: 1.0}", ""),
     ],
 )
-def test_a_bad_scene_is_not_valid(validator: Any, scene_file: Callable[..., Path], scene_text: str, old: str, new: str) -> None:
+def test_a_bad_scene_is_not_valid(
+    validator: Any, scene_file: Callable[..., Path], scene_text: str, old: str, new: str
+) -> None:
     data = read_document(scene_file(scene_text, (old, new))).data
     assert not validator.is_valid(data)
 

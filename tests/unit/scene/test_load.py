@@ -85,4 +85,3 @@ def test_a_loaded_scene_can_travel_between_processes(scene_file: Callable[..., P
     copy = pickle.loads(pickle.dumps(loaded))
     assert copy == loaded
     assert str(copy.fault(("time", "dt"), "x")) == "--set time.dt=0.02: time.dt: x"
-

@@ -186,7 +186,9 @@ def test_mutated_data(data: Any) -> None:
 ODD = st.one_of(
     st.text(alphabet=" \t\n\r:{}[],&*!|>'\"%@`#?-<=~.0123456789eExyz", min_size=1, max_size=6),
     st.text(min_size=1, max_size=4),
-    st.sampled_from(["&a ", "*a", "*rubber", "!!int ", "!x ", "<<: *rubber", "---\n", "...\n", "%YAML 1.1\n", "\ufeff"]),
+    st.sampled_from(
+        ["&a ", "*a", "*rubber", "!!int ", "!x ", "<<: *rubber", "---\n", "...\n", "%YAML 1.1\n", "\ufeff"]
+    ),
     st.sampled_from(["\x00", "\x85", "\u2028", "\U0001f9ea", "\x1b[2J", '"\\ud800"', '"\\x', "1e999", "9" * 500]),
 )
 

@@ -64,7 +64,9 @@ def test_an_override_of_a_whole_block_forgets_those_inside() -> None:
 
 
 def test_a_sound_override(scene_file: Callable[..., Path]) -> None:
-    loaded = load_scene(scene_file(), ["bodies.beam.material.density=900", "conditions[1].rate=2", "on_failure.action=stop"])
+    loaded = load_scene(
+        scene_file(), ["bodies.beam.material.density=900", "conditions[1].rate=2", "on_failure.action=stop"]
+    )
     assert loaded.scene.bodies["beam"].material.density == 900.0
     assert loaded.scene.conditions[1].rate == 2.0
     assert loaded.scene.on_failure.action == "stop"
@@ -74,8 +76,7 @@ def test_a_sound_override(scene_file: Callable[..., Path]) -> None:
 def test_faults_of_overrides_name_the_override(scene_file: Callable[..., Path]) -> None:
     path = scene_file()
     assert faults_of(path, "bodies.beam.material.densty=900") == [
-        "--set bodies.beam.material.densty=900: bodies.beam.material.densty: unknown key; "
-        "did you mean `density`?"
+        "--set bodies.beam.material.densty=900: bodies.beam.material.densty: unknown key; did you mean `density`?"
     ]
     assert faults_of(path, "time.dt=soon") == ['--set time.dt=soon: time.dt: must be a number, not the text "soon"']
     assert faults_of(path, "time.dt=2") == ["--set time.dt=2: time.dt: must not exceed end, 1 [s], not 2"]
@@ -99,7 +100,8 @@ def test_keys_that_lead_nowhere(scene_file: Callable[..., Path]) -> None:
         "--set conditions[7].rate=1: conditions[7].rate: `conditions` has 2 entries; the first is [0]"
     ]
     assert faults_of(path, "conditions.first.rate=1") == [
-        "--set conditions.first.rate=1: conditions.first.rate: `conditions` is a list; give an index, as in conditions[0]"
+        "--set conditions.first.rate=1: conditions.first.rate: "
+        "`conditions` is a list; give an index, as in conditions[0]"
     ]
     assert faults_of(path, "title.x=1") == ["--set title.x=1: title.x: `title` is a single value, it has no key x"]
     assert faults_of(path, "time[0]=1") == ["--set time[0]=1: time[0]: `time` is a mapping, not a list"]
