@@ -207,7 +207,7 @@ def _solid_elements(mesh: Mesh, order: int, cells: IntArray) -> _Elements:
     basis = skfem.Basis(shape, element(), intorder=2 * (order - 1))
     gradients = np.stack([np.asarray(phi[0].grad).transpose(1, 2, 0) for phi in basis.basis], axis=2)
     mass_basis = skfem.Basis(shape, element(), intorder=2 * order)
-    shape_values = np.stack([np.broadcast_to(phi[0].value, mass_basis.dx.shape) for phi in mass_basis.basis])
+    shape_values = np.stack([np.broadcast_to(np.asarray(phi[0]), mass_basis.dx.shape) for phi in mass_basis.basis])
     mass = np.einsum("aeq,beq,eq->eab", shape_values, shape_values, mass_basis.dx, optimize=True)
     return _Elements(nodes, connectivity[cells], np.ascontiguousarray(gradients), np.array(basis.dx), mass)
 

@@ -54,6 +54,12 @@ def _check_cell_count(counts: tuple[int, ...]) -> None:
         raise ValueError(f"cells: {total} cells are too many (at most {MAX_STRUCTURED_CELLS})")
 
 
+def _check_resolved(key: str, radius: float, element_size: float) -> None:
+    # Much coarser elements cannot follow the curvature: the mesh generator tries for ever, or fails obscurely.
+    if element_size > 20.0 * radius:
+        raise ValueError(f"{key}: element_size {element_size:g} is too coarse for it (at most {20.0 * radius:g})")
+
+
 class Rotation(MeshModel):
     """A rotation about an axis through the origin, or about the origin in 2D."""
 
@@ -219,6 +225,11 @@ class BeamMesh(PlacedMesh):
     size: _Sizes3 = Field(default=(1.0, 0.2, 0.2), description="edge lengths in x, y, z [m]")
     element_size: _Positive = Field(default=0.05, description="edge length aimed at [m]")
 
+    @model_validator(mode="after")
+    def _consistent(self) -> BeamMesh:
+        _check_resolved("size", min(self.size), self.element_size)
+        return self
+
 
 class CylinderMesh(PlacedMesh):
     """A cylinder or tube; one end face is centred in the origin."""
@@ -234,6 +245,9 @@ class CylinderMesh(PlacedMesh):
     def _consistent(self) -> CylinderMesh:
         if self.hole_radius >= self.radius:
             raise ValueError("hole_radius: must be smaller than radius")
+        _check_resolved("radius", self.radius, self.element_size)
+        if self.hole_radius > 0.0:
+            _check_resolved("hole_radius", self.hole_radius, self.element_size)
         return self
 
 
@@ -244,6 +258,11 @@ class SphereMesh(PlacedMesh):
     radius: _Positive = Field(default=0.5, description="radius [m]")
     element_size: _Positive = Field(default=0.15, description="edge length aimed at [m]")
 
+    @model_validator(mode="after")
+    def _consistent(self) -> SphereMesh:
+        _check_resolved("radius", self.radius, self.element_size)
+        return self
+
 
 class EllipsoidMesh(PlacedMesh):
     """A solid ellipsoid centred in the origin."""
@@ -251,6 +270,13 @@ class EllipsoidMesh(PlacedMesh):
     recipe: Literal["ellipsoid"] = Field(description="solid ellipsoid; boundary named `surface`")
     semi_axes: _Sizes3 = Field(default=(1.0, 0.5, 0.5), description="half lengths in x, y, z [m]")
     element_size: _Positive = Field(default=0.15, description="edge length aimed at [m]")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> EllipsoidMesh:
+        # The sharpest curvature of an ellipsoid has the radius (shortest half axis)^2 / (longest half axis).
+        sharpest = min(self.semi_axes) ** 2 / max(self.semi_axes)
+        _check_resolved("semi_axes", 0.5 * sharpest, self.element_size)
+        return self
 
 
 class TorusMesh(PlacedMesh):
@@ -265,6 +291,7 @@ class TorusMesh(PlacedMesh):
     def _consistent(self) -> TorusMesh:
         if self.tube_radius >= self.radius:
             raise ValueError("tube_radius: must be smaller than radius")
+        _check_resolved("tube_radius", self.tube_radius, self.element_size)
         return self
 
 
@@ -284,6 +311,7 @@ class SphericalShellMesh(PlacedMesh):
     def _consistent(self) -> SphericalShellMesh:
         if self.thickness >= self.radius:
             raise ValueError("thickness: must be smaller than radius")
+        _check_resolved("thickness", min(self.thickness, self.radius - self.thickness), self.element_size)
         return self
 
 
@@ -304,6 +332,9 @@ class PlateWithHoleMesh(PlacedMesh):
     def _consistent(self) -> PlateWithHoleMesh:
         if 2.0 * self.radius >= min(self.size):
             raise ValueError("radius: the hole does not fit into the plate")
+        _check_resolved("radius", self.radius, self.element_size)
+        if self.thickness is not None:
+            _check_resolved("thickness", self.thickness, self.element_size)
         if self.hole_element_size is not None and self.hole_element_size < 1e-3 * self.element_size:
             raise ValueError("hole_element_size: less than a thousandth of element_size")
         return self
@@ -340,6 +371,11 @@ class RubberMountMesh(PlacedMesh):
 
     @model_validator(mode="after")
     def _consistent(self) -> RubberMountMesh:
+        coarse = max(self.element_size, self.plate_element_size or 2.0 * self.element_size)
+        for key in ("rubber_height", "plate_thickness", "bore_radius", "bolt_hole_radius", "waist_radius"):
+            length = getattr(self, key)
+            if length > 0.0:
+                _check_resolved(key, length, coarse)
         narrowest = min(self.bottom_radius, self.top_radius, self.waist_radius)
         if self.bore_radius >= narrowest:
             raise ValueError("bore_radius: the bore must be narrower than the rubber")

@@ -128,7 +128,8 @@ def test_camera_and_colours_stay_the_same_over_a_movie(beam: Path) -> None:
         stage.show(index)
         stage.picture()
         cameras.append([*stage.plotter.camera.position, *stage.plotter.camera.focal_point])
-        ranges.append(tuple(stage.plotter.mapper.scalar_range))
+        (bar,) = stage.plotter.scalar_bars.values()
+        ranges.append(tuple(bar.GetLookupTable().GetRange()))
     stage.close()
     assert np.ptp(cameras, axis=0).max() == 0.0
     assert set(ranges) == {setting.colours}
