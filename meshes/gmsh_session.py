@@ -45,7 +45,7 @@ _OPTIONS: dict[str, float] = {
 _ELEMENTS: dict[int, PartKind] = {15: "vertex", 1: "line", 2: "triangle", 4: "tetra"}
 # Measure of a regular simplex of edge 1: what a cell takes on average.
 _SIMPLEX = {1: 1.0, 2: 0.433, 3: 0.118}
-MAX_CELLS = 5_000_000
+MAX_CELLS = 2_000_000
 # Small radii are meshed finer than asked for, but not beyond this part of the element size.
 FINEST = 0.02
 

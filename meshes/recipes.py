@@ -24,7 +24,7 @@ from femdeform.scene.mesh_schema import (
 from femdeform.types import FloatArray, Mesh
 from meshes.boundary import signed_measures
 from meshes.gmsh_session import FINEST, gmsh_session, guard_cell_count, model_measures, read_parts
-from meshes.parts import MeshParts, PartKind, assemble
+from meshes.parts import MeshParts, PartKind, assemble, fault
 from meshes.recipe_mount import rubber_mount
 from meshes.structured import SIDES
 
@@ -159,14 +159,15 @@ class _Builder:
 
     draw: Callable[[Any, Any], None]
     lengths: tuple[str, ...]
+    curved_all_over: str = ""  # radius of a body so slender that its curvature sets the size of all its cells
 
 
 _BUILDERS: dict[type[PlacedMesh], _Builder] = {
     BeamMesh: _Builder(_beam, ("size", "element_size")),
-    CylinderMesh: _Builder(_cylinder, ("radius", "hole_radius", "length", "element_size")),
+    CylinderMesh: _Builder(_cylinder, ("radius", "hole_radius", "length", "element_size"), "radius"),
     SphereMesh: _Builder(_sphere, ("radius", "element_size")),
     EllipsoidMesh: _Builder(_ellipsoid, ("semi_axes", "element_size")),
-    TorusMesh: _Builder(_torus, ("radius", "tube_radius", "element_size")),
+    TorusMesh: _Builder(_torus, ("radius", "tube_radius", "element_size"), "tube_radius"),
     SphericalShellMesh: _Builder(_spherical_shell, ("radius", "thickness", "element_size")),
     PlateWithHoleMesh: _Builder(
         _plate_with_hole, ("size", "radius", "thickness", "element_size", "hole_element_size")
@@ -224,8 +225,13 @@ def gmsh_recipe(source: PlacedMesh) -> Mesh:
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", _AROUND)
         builder.draw(gmsh, scaled)
-        dim = max(entity for entity, _ in gmsh.model.getEntities())
-        guard_cell_count(name, model_measures(gmsh), size, size / factor)
+        dim = max((entity for entity, _ in gmsh.model.getEntities()), default=0)
+        if dim < 2:
+            raise fault(name, "nothing is left of the body: a part of it is too thin")
+        finest = size
+        if builder.curved_all_over:
+            finest = min(size, 2.0 * math.pi / _AROUND * getattr(scaled, builder.curved_all_over))
+        guard_cell_count(name, model_measures(gmsh), finest, size / factor)
         gmsh.model.mesh.generate(dim)
         parts = read_parts(gmsh, name)
     return assemble(_upright(parts, dim, factor), name, drop_unreferenced=True)

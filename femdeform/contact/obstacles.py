@@ -17,7 +17,7 @@ class Shape(Protocol):
         """Signed distance (n,) [m] of positions (n, dim) and its unit gradient (n, dim)."""
 
     def curvature(self, x: FloatArray) -> FloatArray:
-        """Second derivative of the distance divided by its projector I - n n^T, (n,) [1/m]."""
+        """Second derivative of the distance, (n, dim, dim) [1/m]; semi-definite, as every shape is convex."""
 
 
 class Plane:
@@ -33,7 +33,7 @@ class Plane:
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """Zero: the plane is flat."""
-        return np.zeros(len(x))
+        return np.zeros((*x.shape, x.shape[1]))
 
 
 class Sphere:
@@ -54,9 +54,11 @@ class Sphere:
         return self.sign * (r - self.radius), self.sign * normal
 
     def curvature(self, x: FloatArray) -> FloatArray:
-        """Reciprocal distance from the centre, with the sign of the free side."""
-        r = np.linalg.norm(x - self.center, axis=1)
-        return np.asarray(self.sign / np.maximum(r, 1e-12 * self.radius))
+        """(I - n n^T) over the distance from the centre, with the sign of the free side."""
+        _, normal = self.distance(x)
+        r = np.maximum(np.linalg.norm(x - self.center, axis=1), 1e-12 * self.radius)
+        across = np.eye(x.shape[1]) - normal[:, :, None] * normal[:, None, :]
+        return np.asarray(self.sign * across / r[:, None, None])
 
 
 class Box:
@@ -84,8 +86,15 @@ class Box:
         return self.sign * distance, self.sign * normal
 
     def curvature(self, x: FloatArray) -> FloatArray:
-        """Zero: penalty forces act inside the box, or outside the container, where the nearest faces are flat."""
-        return np.zeros(len(x))
+        """Zero at faces; beyond an edge or corner, where the distance is that of a line or point, it is round."""
+        distance, normal = self.distance(x)
+        beyond = (np.abs(x - self.center) > self.half)[:, :, None] * np.eye(x.shape[1])
+        bend = beyond - normal[:, :, None] * normal[:, None, :]
+        length = self.sign * distance
+        is_outside = length > 0.0
+        bend[is_outside] *= self.sign / length[is_outside, None, None]
+        bend[~is_outside] = 0.0
+        return np.asarray(bend)
 
 
 def make_shape(obstacle: schema.Obstacle) -> Shape:

@@ -97,17 +97,19 @@ class PenaltyContact:
             slip, length = self._slip(x)
             out[self.nodes] += (self._lagged_force / np.maximum(length, self._slip_scale))[:, None] * slip
 
-    def add_hessian(self, x: FloatArray, diagonal: FloatArray) -> None:
-        """Add positive semi-definite node blocks [N/m] to `diagonal` (n_local, dim*dim)."""
+    def add_hessian(self, x: FloatArray, project: bool, diagonal: FloatArray) -> None:
+        """Add node blocks [N/m] to `diagonal` (n_local, dim*dim), each positive semi-definite if `project`."""
         dim = self.velocity.size
         where = x[self.nodes] - self._shift
         distance, normal = self.shape.distance(where)
         touching = distance < 0.0
         outer = normal[:, :, None] * normal[:, None, :]
-        across = np.eye(dim) - outer
-        # The distance's own curvature acts with a force that pushes back, d < 0: it helps only for bowls.
-        bend = np.maximum(distance * self.shape.curvature(where), 0.0)
-        blocks = (self.stiffness * touching)[:, None, None] * (outer + bend[:, None, None] * across)
+        # The distance's own curvature acts with a force that pushes back, d < 0: stiff in bowls and in the corners of
+        # containers, soft around a ball.
+        bend = distance[:, None, None] * self.shape.curvature(where)
+        if project:
+            bend[np.trace(bend, axis1=1, axis2=2) < 0.0] = 0.0
+        blocks = (self.stiffness * touching)[:, None, None] * (outer + bend)
         if self.friction > 0.0:
             slip, length = self._slip(x)
             h = self._slip_scale

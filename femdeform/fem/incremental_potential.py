@@ -176,7 +176,8 @@ class IncrementalPotential:
 
     def value(self, x: FloatArray) -> float:
         """Phi(x) [J], without the constant that pressure has none of; inf where a law is not defined."""
-        parts = [self.partition.sum(part.value(x)) for part in [*self._terms, *self.contacts]]
+        terms: list[CellTerm | PenaltyContact] = [*self._terms, *self.contacts]
+        parts = [self.partition.sum(term.value(x)) for term in terms]
         parts.append(-self.partition.dot(self.load, x - self._reference))
         if not self.quasistatic:
             offset = x - self._x_hat
@@ -233,7 +234,7 @@ class IncrementalPotential:
         if not self.quasistatic and self._mass_scalars.size == 0:
             self._diagonal[:, :: dim + 1] = (self.discretization.lumped_mass / self.dt**2)[:, None]
         for contact in self.contacts:
-            contact.add_hessian(x, self._diagonal)
+            contact.add_hessian(x, project, self._diagonal)
         mask = self.free if free is None else free
         kernels.sum_blocks(
             self._blocks,

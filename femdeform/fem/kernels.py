@@ -245,7 +245,12 @@ def sum_blocks(
                         values[base + c * d * n_row + m] += diagonal[i, d * c + m]
             for c in range(d):
                 for m in range(d):
-                    # The diagonal keeps its own size, so that scaling and preconditioners see nothing odd.
-                    keep = i == j and c == m and i < n_owned
-                    if (free[i, c] == 0 or free[j, m] == 0) and not keep:
-                        values[base + c * d * n_row + m] = 0.0
+                    if free[i, c] == 0 or free[j, m] == 0:
+                        place = base + c * d * n_row + m
+                        if i == j and c == m and i < n_owned:
+                            # The diagonal keeps its own size, so that scaling and preconditioners see nothing odd;
+                            # but across rods and membranes it may be zero, and exact Hessians may make it negative.
+                            own = abs(values[place])
+                            values[place] = own if own > 0.0 else 1.0
+                        else:
+                            values[place] = 0.0

@@ -42,12 +42,15 @@ class Field:
         Name and unit.
     categorical : bool
         Whether the values number bodies or regions.
+    is_norm : bool
+        Whether the values are lengths of vectors or tensors, whose colours start at zero.
     """
 
     values: FloatArray
     on_cells: bool
     label: str
     categorical: bool
+    is_norm: bool = False
 
 
 def select_field(frame: Frame, name: str | None, place: Path) -> Field:
@@ -86,9 +89,10 @@ def select_field(frame: Frame, name: str | None, place: Path) -> Field:
             message = f"field {base!r} has no component {component!r}; {known}"
             raise InputError([Fault(str(place), 0, "", message)])
         return Field(_floats(values[:, columns[component]]), on_cells, f"{title} {component}{unit}", False)
-    if values.ndim == 2:
+    is_norm = values.ndim == 2
+    if is_norm:
         values = np.linalg.norm(values, axis=1)
-    return Field(_floats(values), on_cells, title + unit, base in NAMES_OF_PARTS)
+    return Field(_floats(values), on_cells, title + unit, base in NAMES_OF_PARTS, is_norm)
 
 
 def value_range(values: FloatArray) -> tuple[float, float]:

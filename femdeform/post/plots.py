@@ -72,7 +72,9 @@ def energy_figure(history: Columns) -> Any | None:
         As from `Result.history`.
     """
     curves = [(_numbers(history, name), label, colour) for name, label, colour in _ENERGIES]
-    present = [(values, label, colour) for values, label, colour in curves if np.any(np.isfinite(values))]
+    known = [curve for curve in curves if np.any(np.isfinite(curve[0]))]
+    # A quasistatic run has no kinetic energy, one without loads no potential: lines along zero say nothing.
+    present = [curve for curve in known if np.any(curve[0][np.isfinite(curve[0])])] or known
     time = _numbers(history, "time")
     if not present or not np.any(np.isfinite(time)):
         return None

@@ -105,7 +105,10 @@ def _flat(prefix: str, block: Mapping[str, Any]) -> list[tuple[str, Any]]:
 def _two_columns(rows: Sequence[tuple[str, Any]]) -> str:
     if not rows:
         return ""
-    lines = [f"<tr><th>{escape(name)}</th><td>{escape(_text(value))}</td></tr>" for name, value in rows]
+    # Dotted keys may break after a dot, not in the middle of a word.
+    names = [escape(name).replace(".", ".<wbr>") for name, _ in rows]
+    values = [escape(_text(value)) for _, value in rows]
+    lines = [f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in zip(names, values, strict=True)]
     return '<table class="facts">\n' + "\n".join(lines) + "\n</table>"
 
 

@@ -198,7 +198,7 @@ class Stage:
             "width": 0.065,
             "height": 0.58,
             "n_labels": 6,
-            "fmt": "{:.3g}" if _uses_format(self.pyvista) else "%.3g",
+            "fmt": self._number_format(low, high),
             "title_font_size": self._points(20),
             "label_font_size": self._points(18),
             "color": _TEXT,
@@ -280,6 +280,12 @@ class Stage:
         self.plotter.reset_camera_clipping_range()
         self.plotter.camera_set = True
 
+    def _number_format(self, low: float, high: float) -> str:
+        # A narrow range far from zero needs the digits in which its ends differ.
+        digits = int(np.clip(2 + np.ceil(np.log10(max(abs(low), abs(high)) / (high - low))), 3, 9))
+        # VTK 9.6 went over from printf formats to those of std::format.
+        return f"{{:.{digits}g}}" if tuple(self.pyvista.vtk_version_info) >= (9, 6) else f"%.{digits}g"
+
     def _title(self) -> str:
         title = self._result.facts.get("title") or resolved_or_empty(self._result).get("title")
         return " ".join(str(title).split())[:90] if title else ""
@@ -289,8 +295,3 @@ class Stage:
 
     def _points(self, size: int) -> int:
         return max(round(size * self._scale), 8)
-
-
-def _uses_format(pyvista: Any) -> bool:
-    # VTK 9.6 went over from printf formats to those of std::format.
-    return tuple(pyvista.vtk_version_info) >= (9, 6)

@@ -71,7 +71,10 @@ def survey(
         corners.append(_bounds(frame.positions[surface.nodes]))
         if not np.all(np.isfinite(corners[-1])):
             raise InputError(f"{result.frames[index].path}: the displacements are not finite")
-        ranges.append(value_range(_visible_values(select_field(frame, field, result.folder), surface)))
+        selected = select_field(frame, field, result.folder)
+        ranges.append(value_range(_visible_values(selected, surface)))
+        if selected.is_norm:
+            ranges.append((0.0, 0.0))
         if progress is not None:
             progress()
     if surface is None:

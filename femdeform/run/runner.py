@@ -163,7 +163,7 @@ class _Run:
 
     def execute(self) -> int:
         """Run to the end, write the outcome, return the exit code."""
-        for text in self.simulation.notices:
+        for text in [*self.loaded.notices, *self.simulation.notices]:
             self.progress.notice(f"note: {text}")
         if self.recorder is not None:
             self.recorder.start(self._resolved(), self._facts())
@@ -193,7 +193,7 @@ class _Run:
         problem = self.simulation.problem
         self.state = state
         now = time.perf_counter()
-        row = {
+        row: dict[str, float | int | str] = {
             "step": state.step,
             "time": state.time,
             "dt": dt,

@@ -247,7 +247,8 @@ class CylinderMesh(PlacedMesh):
             raise ValueError("hole_radius: must be smaller than radius")
         _check_resolved("radius", self.radius, self.element_size)
         if self.hole_radius > 0.0:
-            _check_resolved("hole_radius", self.hole_radius, self.element_size)
+            thinnest = min(self.hole_radius, self.radius - self.hole_radius)
+            _check_resolved("hole_radius", thinnest, self.element_size)
         return self
 
 
@@ -335,8 +336,8 @@ class PlateWithHoleMesh(PlacedMesh):
         _check_resolved("radius", self.radius, self.element_size)
         if self.thickness is not None:
             _check_resolved("thickness", self.thickness, self.element_size)
-        if self.hole_element_size is not None and self.hole_element_size < 1e-3 * self.element_size:
-            raise ValueError("hole_element_size: less than a thousandth of element_size")
+        if self.hole_element_size is not None and self.hole_element_size < 0.01 * self.element_size:
+            raise ValueError("hole_element_size: less than a hundredth of element_size")
         return self
 
 

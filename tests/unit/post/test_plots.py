@@ -32,6 +32,8 @@ def test_energy_curves_are_the_columns_and_their_sum(beam: Path) -> None:
     np.testing.assert_allclose(curves["elastic"], history["elastic_energy"])
     np.testing.assert_allclose(curves["total"], history["time"] ** 2)
     np.testing.assert_allclose(figure.axes[0].lines[0].get_xdata(), history["time"])
+    still = plots.energy_figure({**history, "kinetic_energy": 0.0 * history["time"]})
+    assert [line.get_label() for line in still.axes[0].lines] == ["elastic", "potential of the loads", "total"]
 
 
 def test_residuals_are_on_a_logarithmic_axis_without_zeros() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from made_results import N_FRAMES, record
+from made_results import N_FRAMES, block, record
 
 from femdeform.errors import InputError, MissingDependencyError
 from femdeform.post import backend
@@ -133,6 +133,27 @@ def test_camera_and_colours_stay_the_same_over_a_movie(beam: Path) -> None:
     stage.close()
     assert np.ptp(cameras, axis=0).max() == 0.0
     assert set(ranges) == {setting.colours}
+
+
+@needs_opengl
+def test_a_narrow_range_is_labelled_with_enough_digits(tmp_path: Path) -> None:
+    points, cells = block((1, 1, 1), (1.0, 1.0, 1.0))
+    mesh = FrameMesh(points, [("tetra", cells)], {})
+    heat = {"jacobian": [np.linspace(1.0, 1.0001, len(cells))]}
+    result = Result.open(record(tmp_path / "r", mesh, lambda time: 0.0 * points + 0.5, cell_data=lambda time: heat))
+    labels = []
+    for field in ("jacobian", "displacement", "velocity.x"):
+        stage = Stage(backend.load_pyvista(), result, survey(result, [0], field), field, size=(320, 208))
+        stage.show(0)
+        (bar,) = stage.plotter.scalar_bars.values()
+        labels.append((bar.GetLabelFormat(), *bar.GetLookupTable().GetRange()))
+        stage.close()
+    assert labels[0][1:] == (1.0, 1.0001)
+    assert "7g" in labels[0][0]
+    # Lengths start at zero, so that a body that moves as a whole has one colour; what is constant gets some range.
+    assert labels[1][1:] == pytest.approx((0.0, 0.5 * np.sqrt(3.0)))
+    assert "3g" in labels[1][0]
+    assert labels[2][1:] == pytest.approx((0.5, 1.5))
 
 
 @needs_opengl

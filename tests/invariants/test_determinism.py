@@ -1,0 +1,66 @@
+"""What must not change a result: the number of threads, the order of the bodies."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scenario import block, body, material, run, scene, write
+
+import femdeform.run.checkpoint as checkpoints
+
+
+def test_threads_do_not_change_a_bit(cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
+    """More cells than one thread takes at a time; supports, contact and consistent mass included."""
+    data = scene(
+        {"b": body(block([1, 1, 1], [6, 6, 6]), material(E=2e4), mass="consistent")},
+        {"kind": "rotate", "on": "b.top", "axis": [0, 1, 0], "rate": 2.0},
+        gravity=[0.0, -9.81, 0.0],
+        obstacles=[{"kind": "plane", "point": [0, 0.05, 0], "normal": [0, 1, 0], "friction": 0.3}],
+        time={"scheme": "backward_euler", "dt": 0.02, "end": 0.06},
+    )
+    write(data, tmp_path / "scene.yaml")
+    for n in (1, 2):
+        done = cli("run", "scene.yaml", "--out", f"threads-{n}", "--threads", n)
+        assert done.returncode == 0, done.stderr
+    one, two = (tmp_path / f"threads-{n}" for n in (1, 2))
+    assert f'"threads": {2}' in (two / "result.json").read_text()
+    assert (one / "final.vtu").read_bytes() == (two / "final.vtu").read_bytes()
+    a, b = checkpoints.read_checkpoint(one), checkpoints.read_checkpoint(two)
+    np.testing.assert_array_equal(a.x, b.x)
+    np.testing.assert_array_equal(a.v, b.v)
+    assert np.abs(a.x).max() > 1.0
+
+
+def test_order_of_the_bodies() -> None:
+    """Two solids and a membrane, each with conditions of its own, listed in two orders."""
+    bodies = {
+        "a": body(block([1, 1, 1], [1, 1, 1]), material(E=2e4)),
+        "b": body(block([1, 1, 1], [1, 1, 1], translate=[2, 0, 0]), material(E=5e4), element_order=2),
+        "c": body({"recipe": "cloth", "cells": [3, 3], "translate": [0, 0, 5]}, kind="membrane", thickness=0.01),
+    }
+    conditions: list[dict[str, Any]] = [
+        {"kind": "fixed", "on": "a.left"},
+        {"kind": "fixed", "on": "b.top"},
+        {"kind": "fixed", "on": "c.left"},
+        {"kind": "traction", "on": "b.right", "value": [100.0, 200.0, 0.0]},
+    ]
+    more: dict[str, Any] = {
+        "gravity": [0.0, -9.81, 0.0],
+        "obstacles": [{"kind": "plane", "point": [0, -0.02, 0], "normal": [0, 1, 0], "friction": 0.5}],
+        "time": {"scheme": "backward_euler", "dt": 0.02, "end": 0.1},
+        "solver": {"tolerance": 1e-11},
+    }
+    first = run(scene(bodies, *conditions, **more))
+    second = run(scene(dict(reversed(bodies.items())), *conditions, **more))
+    for name in bodies:
+        parts = []
+        for simulation in (first, second):
+            place = simulation.discretization.bodies[name]
+            own = slice(place.first, place.first + place.n_nodes)
+            parts.append((simulation.state.x - simulation.discretization.points)[own])
+        assert np.abs(parts[0]).max() > 1e-3
+        np.testing.assert_allclose(parts[1], parts[0], atol=1e-9 * np.abs(parts[0]).max())
