@@ -45,6 +45,9 @@ class StepProblem(Protocol):
     def linearize_at(self, x: FloatArray) -> None:
         """Announce the state from which the next line search starts."""
 
+    def settle_force_scale(self, x: FloatArray) -> None:
+        """Complete `force_scale` at the first iterate, where the last state gives none."""
+
     def residual_norm(self, residual: FloatArray) -> float:
         """The one measure of a residual [N]."""
 

@@ -92,8 +92,7 @@ class ProjectedNewton:
         start = time.perf_counter()
         x, linear_iterations, guess_iterations = self._first_iterate(problem, state)
         current = self._evaluate(problem, x)
-        if problem.force_scale <= 0.0:
-            problem.force_scale = problem.residual_norm(problem.full_gradient(x))
+        problem.settle_force_scale(x)
         previous_norm, previous_length = math.inf, 0.0
         iteration = guess_iterations
 

@@ -20,6 +20,9 @@ from femdeform.fem.energies import CellTerm, ElasticEnergy, FollowerPressure
 from femdeform.parallel import Partition
 from femdeform.types import FloatArray
 
+# A state whose forces are below this multiple of what rounding may leave is at rest.
+_REST = 100.0
+
 
 @dataclass
 class State:
@@ -65,8 +68,8 @@ class IncrementalPotential:
         Degrees of freedom that are solved for.
     force_scale : float
         R0, the size of the forces in the step [N]: ``|M (x_n - x_hat)/h^2| + |dPE/dx(x_n)| + |f|``, over all degrees
-        of freedom, reactions included. If all of that is zero (a body at rest whose support is moved), the internal
-        forces of the first iterate.
+        of freedom, reactions included. If all of that is rounding (a body at rest whose support is moved), the forces
+        of the first iterate, see `settle_force_scale`.
     """
 
     def __init__(
@@ -275,6 +278,11 @@ class IncrementalPotential:
     def residual_norm(self, residual: FloatArray) -> float:
         """Euclidean norm of a residual over the free degrees of freedom [N]: the one measure of all solvers."""
         return self.partition.norm(residual)
+
+    def settle_force_scale(self, x: FloatArray) -> None:
+        """Take the forces at the first iterate, reactions included, as R0 if the last state has none but rounding."""
+        if self.force_scale <= _REST * self.roundoff_norm(x):
+            self.force_scale = self.partition.norm(self.full_gradient(x))
 
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone can leave at `x` [N]: no solver can be asked for less."""

@@ -34,7 +34,11 @@ BAND = 0.15
 
 
 def solution(law: str, dim: int) -> ManufacturedSolution:
-    """The displacement of methods.md, section 6, row 6, and one like it in two dimensions: strains up to 0.3."""
+    """The displacement of methods.md, section 6, row 6, and one like it in two dimensions: stretches 0.7 to 1.3.
+
+    St. Venant-Kirchhoff's law loses ellipticity in compression, in plane strain with two equal stretches a where
+    (lmbda + mu)(a^2 - 1) + mu a^2 = 0, a = 0.85 for nu = 0.3. It gets a smaller one, stretches 0.87 to 1.13.
+    """
     X = coordinates(dim)
     sin, cos, pi = sympy.sin, sympy.cos, sympy.pi
     if dim == 2:
@@ -43,7 +47,8 @@ def solution(law: str, dim: int) -> ManufacturedSolution:
     else:
         x, y, z = X
         u = [sin(pi * x) * cos(pi * y), sin(pi * y) * cos(pi * z), x * y * sin(pi * z)]
-    return ManufacturedSolution(law, E, NU, [component / 10 for component in u])
+    amplitude = sympy.Rational(1, 25 if law == "saint_venant_kirchhoff" else 10)
+    return ManufacturedSolution(law, E, NU, [amplitude * component for component in u])
 
 
 def bulge(points: FloatArray) -> FloatArray:
@@ -109,7 +114,7 @@ def test_body_force_is_minus_the_divergence_of_the_stress(law: str, dim: int) ->
         (exact.pk1(points + shift) - exact.pk1(points - shift))[:, :, j] / (2.0 * h) for j, shift in enumerate(shifts)
     )
     force = exact.body_force(points)
-    assert np.abs(force).max() > 0.1 * E
+    assert np.abs(force).max() > 0.01 * E
     np.testing.assert_allclose(force, -divergence, rtol=0, atol=1e-8 * E)
 
 
@@ -144,9 +149,8 @@ def test_rates_in_2d(law: str, order: int, counts: tuple[int, ...], errors_of: C
     check_rates(counts, errors_of(law, order, 2, counts), order)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("order", "counts"), [(1, (3, 6, 12)), (2, (2, 4, 8))], ids=["P1", "P2"])
-@pytest.mark.parametrize("law", ["linear", "saint_venant_kirchhoff", "neo_hookean"])
+@pytest.mark.parametrize("law", LAWS_3D)
 def test_rates_in_3d(law: str, order: int, counts: tuple[int, ...], errors_of: Callable[..., Any]) -> None:
     check_rates(counts, errors_of(law, order, 3, counts), order)
 

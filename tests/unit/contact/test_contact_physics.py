@@ -1,0 +1,205 @@
+"""Bodies on, in and against obstacles: rest, sliding, sticking, being carried along."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scenario import advance, block, body, build, material, quasistatic, scene, step
+
+from femdeform.run.setup import Simulation
+
+G = 9.81
+RHO = 1000.0
+STIFF = material(E=1e6, nu=0.3, density=RHO)
+
+
+def ground(**more: Any) -> dict[str, Any]:
+    return {"kind": "plane", "point": [0.0, 0.0], "normal": [0.0, 2.0], "stiffness": 2e7, **more}
+
+
+def slab(*conditions: dict[str, Any], order: int = 1, at: Any = (0.0, 0.0), **more: Any) -> Simulation:
+    """A flat plate, 0.4 m by 0.1 m, in the plane."""
+    data = scene(
+        {"b": body(block([0.4, 0.1], [4, 1], translate=[float(c) for c in at]), STIFF, element_order=order)},
+        *conditions,
+        **{"gravity": [0.0, -G], "time": {"scheme": "backward_euler", "dt": 0.01, "end": 10.0}, **more},
+    )
+    return build(data)
+
+
+def mean(simulation: Simulation, field: Any) -> Any:
+    """Mass-weighted mean of a node field."""
+    mass = simulation.discretization.lumped_mass
+    return mass @ field / mass.sum()
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_dropped_plate_comes_to_rest_on_the_ground(order: int) -> None:
+    simulation = slab(obstacles=[ground()], at=[0.0, 0.02], order=order)
+    fastest = 0.0
+    for _ in range(150):
+        step(simulation)
+        fastest = max(fastest, np.abs(simulation.state.v).max())
+    assert fastest > 0.3  # it did fall
+    assert np.abs(simulation.state.v).max() < 1e-4
+    bottom = simulation.conditions.local_nodes("b.bottom")
+    depth = -simulation.state.x[bottom, 1].mean()
+    # Pressure over stiffness; shares of the area are equal in a facet, so the mean over nodes is not exact.
+    assert depth == pytest.approx(RHO * G * 0.1 / 2e7, rel=0.15)
+    (contact,) = simulation.problem.contacts
+    pushed = np.zeros_like(simulation.state.x)
+    contact.add_gradient(simulation.state.x, pushed)
+    np.testing.assert_allclose(-pushed.sum(axis=0), [0.0, RHO * G * 0.04], rtol=1e-4, atol=1e-6)
+
+
+def test_the_area_around_the_nodes_is_the_surface() -> None:
+    for order, dim in ((1, 2), (2, 2), (1, 3), (2, 3)):
+        data = scene(
+            {"b": body(block([0.4, 0.2, 0.1][:dim], [2, 1, 1][:dim]), element_order=order)},
+            obstacles=[{"kind": "sphere", "center": [9.0] * dim, "radius": 1.0, "stiffness": 5.0}],
+        )
+        (contact,) = build(data).problem.contacts
+        surface = 1.2 if dim == 2 else 2 * (0.08 + 0.04 + 0.02)
+        assert contact.stiffness.sum() == pytest.approx(5.0 * surface, rel=1e-12)
+        assert contact.stiffness.min() > 0.0
+
+
+def slope(angle: float, friction: float) -> Simulation:
+    """The plate on an incline: gravity is turned instead of the ground."""
+    g = [G * np.sin(angle), -G * np.cos(angle)]
+    return slab(obstacles=[ground(friction=friction)], gravity=g, at=[0.0, -RHO * G * np.cos(angle) * 0.1 / 2e7])
+
+
+def test_friction_holds_on_a_gentle_slope() -> None:
+    simulation = slope(0.3, friction=1.2 * np.tan(0.3))
+    advance(simulation, 50)
+    before = mean(simulation, simulation.state.x)[0]
+    advance(simulation, 50)
+    creep = (mean(simulation, simulation.state.x)[0] - before) / 0.5
+    (contact,) = simulation.problem.contacts
+    assert 0.0 < creep <= contact.stick_velocity
+    # The force of a stuck node is a share of the limit, as large as the slip is of what sticks: 1 / 1.2.
+    assert creep == pytest.approx(contact.stick_velocity / 1.2, rel=0.02)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.25])
+def test_a_plate_slides_down_a_steep_slope(friction: float) -> None:
+    angle = 0.4
+    simulation = slope(angle, friction)
+    advance(simulation, 40)
+    before = mean(simulation, simulation.state.v)[0]
+    advance(simulation, 40)
+    acceleration = (mean(simulation, simulation.state.v)[0] - before) / 0.4
+    assert acceleration == pytest.approx(G * (np.sin(angle) - friction * np.cos(angle)), rel=0.01)
+
+
+def test_a_conveyor_belt_carries_the_plate_along() -> None:
+    """Friction drags it with mu g until it moves with the belt, and no faster."""
+    simulation = slab(obstacles=[ground(friction=0.3, velocity=[0.8, 0.0])], at=[0.0, -RHO * G * 0.1 / 2e7])
+    advance(simulation, 20)
+    assert mean(simulation, simulation.state.v)[0] == pytest.approx(0.3 * G * 0.2, rel=0.08)
+    advance(simulation, 30)
+    assert mean(simulation, simulation.state.v)[0] == pytest.approx(0.8, rel=0.01)
+
+
+def test_a_rising_floor_lifts_the_plate() -> None:
+    simulation = slab(obstacles=[ground(velocity=[0.0, 0.5])])
+    advance(simulation, 60)
+    assert mean(simulation, simulation.state.v)[1] == pytest.approx(0.5, rel=1e-3)
+    bottom = simulation.conditions.local_nodes("b.bottom")
+    assert simulation.state.x[bottom, 1].mean() == pytest.approx(0.5 * 0.6 - RHO * G * 0.1 / 2e7, abs=5e-6)
+
+
+def test_a_bowl_keeps_a_body_at_its_bottom() -> None:
+    data = scene(
+        {"b": body(block([0.2, 0.2, 0.2], [1, 1, 1], translate=[0.3, -0.1, 0.1]), STIFF)},
+        gravity=[0.0, -G, 0.0],
+        obstacles=[
+            {"kind": "sphere", "center": [0, 0, 0], "radius": 1.0, "inside": True, "stiffness": 1e7, "friction": 0.2}
+        ],
+        time={"scheme": "backward_euler", "dt": 0.02, "end": 10.0},
+    )
+    simulation = build(data)
+    advance(simulation, 150)
+    x = simulation.state.x
+    assert np.linalg.norm(x, axis=1).max() < 1.0 + 2e-3
+    assert mean(simulation, x)[1] < -0.8
+    assert np.abs(simulation.state.v).max() < 0.1
+
+
+def test_a_ball_pushes_a_membrane_up() -> None:
+    """A ball rises through a cloth that is held at its edges: the cloth lies on it."""
+    edges = [{"kind": "fixed", "on": f"c.{side}"} for side in ("left", "right", "back", "front")]
+    data = scene(
+        {"c": body({"recipe": "cloth", "size": [1.0, 1.0], "cells": [8, 8]}, STIFF, kind="membrane", thickness=0.01)},
+        *edges,
+        obstacles=[
+            {"kind": "sphere", "center": [0, -0.45, 0], "radius": 0.4, "velocity": [0, 0.5, 0], "stiffness": 1e7}
+        ],
+        time={"scheme": "backward_euler", "dt": 0.02, "end": 1.0},
+    )
+    simulation = build(data)
+    advance(simulation, 20)  # its top is at 0.15 then
+    x = simulation.state.x
+    top = x[:, 1].max()
+    assert top == pytest.approx(0.15, abs=0.01)
+    assert (np.linalg.norm(x - [0.0, -0.25, 0.0], axis=1) > 0.4 - 5e-3).all()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_container_keeps_a_thrown_body_inside(dim: int) -> None:
+    throw = {"kind": "initial_velocity", "on": "b", "velocity": [3.0, -2.0, 2.5][:dim]}
+    data = scene(
+        {"b": body(block([0.2] * dim, [1] * dim, translate=[0.4] * dim), material(E=1e6))},
+        throw,
+        gravity=[0.0, -G, 0.0][:dim],
+        obstacles=[{"kind": "box", "min": [0.0] * dim, "max": [1.0] * dim, "inside": True, "stiffness": 1e8}],
+        time={"scheme": "backward_euler", "dt": 0.01, "end": 10.0},
+    )
+    simulation = build(data)
+    for _ in range(80):
+        step(simulation)
+        assert simulation.state.x.min() > -0.02
+        assert simulation.state.x.max() < 1.02
+
+
+def test_a_body_in_the_corner_of_a_container_converges_quickly() -> None:
+    """Nodes beyond an edge of the container are pushed back from both walls; Newton has to know of both."""
+    data = scene(
+        {"b": body(block([0.5, 0.5, 0.5], [1, 1, 1], translate=[-0.003, -0.002, -0.001]), material(E=1e6))},
+        gravity=[-5.0, -G, -3.0],
+        obstacles=[{"kind": "box", "min": [0, 0, 0], "max": [1, 1, 1], "inside": True, "stiffness": 1e9}],
+        time=quasistatic(),
+        solver={"tolerance": 1e-10},
+    )
+    simulation = build(data)
+    result = step(simulation)
+    assert result.iterations <= 12
+    (contact,) = simulation.problem.contacts
+    force = np.zeros_like(simulation.state.x)
+    contact.add_gradient(simulation.state.x, force)
+    np.testing.assert_allclose(-force.sum(axis=0), 1000.0 * 0.125 * np.array([5.0, G, 3.0]), rtol=1e-8)
+
+
+def test_a_box_obstacle_holds_from_above_and_beside() -> None:
+    """A plate lies across a box narrower than itself and bends over it."""
+    table = {"kind": "box", "min": [0.1, -0.5], "max": [0.3, 0.0], "stiffness": 2e7, "friction": 0.5}
+    simulation = slab(obstacles=[table])
+    advance(simulation, 100)
+    assert np.abs(simulation.state.v).max() < 1e-2
+    x = simulation.state.x
+    under = (simulation.discretization.points[:, 1] == 0.0) & (np.abs(simulation.discretization.points[:, 0] - 0.2) < 0.11)
+    assert np.all(np.abs(x[under, 1]) < 2e-3)
+    # A box from the side: the wall stops what flies against it.
+    wall = {"kind": "box", "min": [0.6, -1.0], "max": [0.7, 1.0], "stiffness": 1e8}
+    simulation = slab({"kind": "initial_velocity", "on": "b", "velocity": [2.0, 0.0]}, obstacles=[wall], gravity=None)
+    advance(simulation, 40)
+    assert simulation.state.x[:, 0].max() < 0.61
+
+
+def test_default_stiffness_is_ten_moduli_over_an_element() -> None:
+    simulation = slab(obstacles=[{"kind": "plane", "point": [0, 0], "normal": [0, 1]}])
+    (contact,) = simulation.problem.contacts
+    assert contact.stiffness.sum() == pytest.approx(10.0 * 1e6 / 0.1 * 1.0, rel=1e-12)
