@@ -5,11 +5,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from femdeform.errors import MeshError
 from femdeform.scene.mesh_schema import (
     BeamMesh,
     CylinderMesh,
@@ -25,6 +26,7 @@ from femdeform.types import FloatArray, Mesh
 from meshes.boundary import signed_measures
 from meshes.gmsh_session import FINEST, gmsh_session, guard_cell_count, model_measures, read_parts
 from meshes.parts import MeshParts, PartKind, assemble, fault
+from meshes.quality import cell_quality
 from meshes.recipe_mount import rubber_mount
 from meshes.structured import SIDES
 
@@ -32,6 +34,8 @@ from meshes.structured import SIDES
 _FLAT = 1e-5
 # At least so many elements around a full turn, whatever the element size asked for.
 _AROUND = 10
+# Worse cells are no mesh but a failure.
+_WORST_QUALITY = 1e-3
 
 
 def _box(gmsh: Any, dim: int, tag: int) -> FloatArray:
@@ -98,9 +102,18 @@ def _sphere(gmsh: Any, source: SphereMesh) -> None:
     _name_boundary(gmsh, 3, lambda box: "surface")
 
 
-def _ellipsoid(gmsh: Any, source: EllipsoidMesh) -> None:
-    body = gmsh.model.occ.addSphere(0, 0, 0, 1.0)
-    gmsh.model.occ.dilate([(3, body)], 0, 0, 0, *source.semi_axes)
+def _ellipsoid(gmsh: Any, source: EllipsoidMesh, attempt: int) -> None:
+    # A stretched sphere keeps the two poles of its parametrisation, where gmsh may stumble: they are first put at
+    # the ends of the longest axis, then of the shortest, then of the third.
+    order = np.argsort(source.semi_axes)[[2, 0, 1]]
+    body = [(3, gmsh.model.occ.addSphere(0, 0, 0, 1.0))]
+    pole = int(order[attempt])
+    if pole < 2:
+        turn = (0.0, 1.0, 0.0) if pole == 0 else (1.0, 0.0, 0.0)
+        gmsh.model.occ.rotate(body, 0, 0, 0, *turn, 0.5 * math.pi)
+    gmsh.model.occ.dilate(body, 0, 0, 0, *source.semi_axes)
+    # The curvature gmsh finds at such a pole is of no use either.
+    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 0)
     _name_boundary(gmsh, 3, lambda box: "surface")
 
 
@@ -157,16 +170,17 @@ def _plate_with_hole(gmsh: Any, source: PlateWithHoleMesh) -> None:
 class _Builder:
     """How a recipe is built: what draws it, and which of its parameters are lengths."""
 
-    draw: Callable[[Any, Any], None]
+    draw: Callable[..., None]
     lengths: tuple[str, ...]
     curved_all_over: str = ""  # radius of a body so slender that its curvature sets the size of all its cells
+    attempts: int = 0  # ways to draw it, passed on as a third argument; 0: only one
 
 
 _BUILDERS: dict[type[PlacedMesh], _Builder] = {
     BeamMesh: _Builder(_beam, ("size", "element_size")),
     CylinderMesh: _Builder(_cylinder, ("radius", "hole_radius", "length", "element_size"), "radius"),
     SphereMesh: _Builder(_sphere, ("radius", "element_size")),
-    EllipsoidMesh: _Builder(_ellipsoid, ("semi_axes", "element_size")),
+    EllipsoidMesh: _Builder(_ellipsoid, ("semi_axes", "element_size"), attempts=3),
     TorusMesh: _Builder(_torus, ("radius", "tube_radius", "element_size"), "tube_radius"),
     SphericalShellMesh: _Builder(_spherical_shell, ("radius", "thickness", "element_size")),
     PlateWithHoleMesh: _Builder(
@@ -218,30 +232,48 @@ def gmsh_recipe(source: PlacedMesh) -> Mesh:
     name = f"recipe {getattr(source, 'recipe')}"  # noqa: B009 - the base class of all recipes has none
     factor = _power_of_two(source, builder.lengths)
     scaled = source.model_copy(update={key: _times(getattr(source, key), factor) for key in builder.lengths})
-    sizes = [getattr(scaled, key, None) for key in ("element_size", "plate_element_size")]
+    attempts = range(builder.attempts) if builder.attempts else (None,)
+    for attempt in attempts:
+        try:
+            parts = _upright(_generate(builder, scaled, attempt, name, factor), factor, name)
+            break
+        except MeshError:
+            if attempt in (None, attempts[-1]):
+                raise
+    return assemble(parts, name, drop_unreferenced=True)
+
+
+def _generate(
+    builder: _Builder, source: PlacedMesh, attempt: int | None, name: str, factor: float
+) -> MeshParts:
+    sizes = [getattr(source, key, None) for key in ("element_size", "plate_element_size")]
     size: float = min(value for value in sizes if value is not None)
     with gmsh_session(name) as gmsh:
         gmsh.option.setNumber("Mesh.MeshSizeMin", FINEST * size)
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", _AROUND)
-        builder.draw(gmsh, scaled)
+        builder.draw(gmsh, source, *(() if attempt is None else (attempt,)))
         dim = max((entity for entity, _ in gmsh.model.getEntities()), default=0)
         if dim < 2:
             raise fault(name, "nothing is left of the body: a part of it is too thin")
         finest = size
         if builder.curved_all_over:
-            finest = min(size, 2.0 * math.pi / _AROUND * getattr(scaled, builder.curved_all_over))
+            finest = min(size, 2.0 * math.pi / _AROUND * getattr(source, builder.curved_all_over))
         guard_cell_count(name, model_measures(gmsh), finest, size / factor)
         gmsh.model.mesh.generate(dim)
         parts = read_parts(gmsh, name)
-    return assemble(_upright(parts, dim, factor), name, drop_unreferenced=True)
+    return parts if dim == 3 else replace(parts, points=parts.points[:, :2])
 
 
-def _upright(parts: MeshParts, dim: int, factor: float) -> MeshParts:
-    """Undo the scaling, drop z in 2D, and orient all cells positively."""
-    points = parts.points[:, :dim] / factor
-    kind: PartKind = "tetra" if dim == 3 else "triangle"
+def _upright(parts: MeshParts, factor: float, name: str) -> MeshParts:
+    """Undo the scaling and orient all cells positively; a mesh that gmsh gave up half-way is an error."""
+    kind: PartKind = "tetra" if parts.points.shape[1] == 3 else "triangle"
+    if kind not in parts.cells:
+        raise fault(name, "gmsh made no cells; another element_size may help")
     cells = parts.cells[kind]
+    if cell_quality(parts.points, cells).min() < _WORST_QUALITY:
+        raise fault(name, "gmsh made flat cells only a smaller element_size can avoid")
+    points = parts.points / factor
     inverted = signed_measures(points, cells) < 0.0
     cells[inverted, -2:] = cells[inverted, :-3:-1]
     return MeshParts(points, parts.cells, parts.named)

@@ -274,9 +274,7 @@ class EllipsoidMesh(PlacedMesh):
 
     @model_validator(mode="after")
     def _consistent(self) -> EllipsoidMesh:
-        # The sharpest curvature of an ellipsoid has the radius (shortest half axis)^2 / (longest half axis).
-        sharpest = min(self.semi_axes) ** 2 / max(self.semi_axes)
-        _check_resolved("semi_axes", 0.5 * sharpest, self.element_size)
+        _check_resolved("semi_axes", 0.1 * min(self.semi_axes), self.element_size)
         return self
 
 
