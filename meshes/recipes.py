@@ -103,17 +103,20 @@ def _sphere(gmsh: Any, source: SphereMesh) -> None:
 
 
 def _ellipsoid(gmsh: Any, source: EllipsoidMesh, attempt: int) -> None:
-    # A stretched sphere keeps the two poles of its parametrisation, where gmsh may stumble: they are first put at
-    # the ends of the longest axis, then of the shortest, then of the third.
-    order = np.argsort(source.semi_axes)[[2, 0, 1]]
+    # A stretched sphere keeps the two poles of its parametrisation, where gmsh may stumble. They are best at the
+    # ends of the axis that differs most from the other two; should that fail, the others are tried.
+    short, middle, long = (int(axis) for axis in np.argsort(source.semi_axes))
+    lengths = source.semi_axes
+    prolate = lengths[long] * lengths[short] >= lengths[middle] ** 2
+    pole = ((long, short, middle) if prolate else (short, long, middle))[attempt]
     body = [(3, gmsh.model.occ.addSphere(0, 0, 0, 1.0))]
-    pole = int(order[attempt])
     if pole < 2:
         turn = (0.0, 1.0, 0.0) if pole == 0 else (1.0, 0.0, 0.0)
         gmsh.model.occ.rotate(body, 0, 0, 0, *turn, 0.5 * math.pi)
-    gmsh.model.occ.dilate(body, 0, 0, 0, *source.semi_axes)
+    gmsh.model.occ.dilate(body, 0, 0, 0, *lengths)
     # The curvature gmsh finds at such a pole is of no use either.
     gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 0)
+    gmsh.option.setNumber("Mesh.MeshSizeMin", 0.5 * source.element_size)
     _name_boundary(gmsh, 3, lambda box: "surface")
 
 

@@ -179,9 +179,12 @@ class ProjectedNewton:
         if not answer.converged:
             usable, reason = False, f"the linear solver failed: {answer.reason}"
         elif not math.isfinite(slope):
-            usable, reason = False, "the linear system is singular: is every body held, or has it inertia?"
+            usable, reason = False, "the solution of the linear system is not finite"
         elif slope >= 0.0:
             usable, reason = False, "the search direction does not descend"
+        if project and not usable:
+            # A clamped Hessian cannot be indefinite: what spoils it is a motion that costs nothing.
+            reason += "; the system may be singular: is every body held, or has it inertia?"
         return _Direction(answer.x, slope, answer.iterations, project, usable, reason)
 
     def _line_search(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,8 @@ from femdeform.run import atomic
 from femdeform.types import FloatArray
 
 FILE_NAME = "checkpoint.h5"
+# What to do where there is nothing to go on from; a run does not write over another one's result.
+START_ANEW = "run without --resume, into another folder (--out) or after removing this one"
 _VERSION = 1
 
 
@@ -69,13 +72,31 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
                 file.attrs[name] = value
 
 
-def read_checkpoint(folder: Path) -> Checkpoint:
+def is_unsaved(folder: Path) -> bool:
+    """Whether a run was begun in a result folder and ended without a word before its first checkpoint."""
+    if (folder / FILE_NAME).exists():
+        return False
+    try:
+        facts = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(facts, dict) and facts.get("status") == "running"
+
+
+def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
     """Read the checkpoint of a result folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The result folder.
+    scene_hash : str, optional
+        Hash of the scene it has to belong to.
 
     Raises
     ------
     InputError
-        If there is none, or it is damaged.
+        If there is none, it is damaged, or it belongs to another scene.
     """
     import h5py
 
@@ -87,7 +108,7 @@ def read_checkpoint(folder: Path) -> Checkpoint:
             attributes: Mapping[str, Any] = dict(file.attrs)
             if int(attributes["version"]) != _VERSION:
                 raise InputError([Fault(str(path), 0, "", f"checkpoint version {attributes['version']} is not known")])
-            return Checkpoint(
+            checkpoint = Checkpoint(
                 x=file["x"][()],
                 v=file["v"][()],
                 time=float(attributes["time"]),
@@ -98,5 +119,9 @@ def read_checkpoint(folder: Path) -> Checkpoint:
                 scene_hash=str(attributes["scene_hash"]),
             )
     except (OSError, KeyError, ValueError) as error:
-        message = f"the checkpoint is damaged ({error}); run without --resume"
+        message = f"the checkpoint is damaged ({error}); {START_ANEW}"
         raise InputError([Fault(str(path), 0, "", message)]) from None
+    if scene_hash is not None and checkpoint.scene_hash != scene_hash:
+        message = f"the checkpoint belongs to another version of this scene; {START_ANEW}"
+        raise InputError([Fault(str(path), 0, "", message)])
+    return checkpoint

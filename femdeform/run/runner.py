@@ -8,6 +8,7 @@ import sys
 import time
 import traceback
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -16,7 +17,7 @@ from femdeform import parallel
 from femdeform.errors import FemdeformError, InputError
 from femdeform.fem.incremental_potential import State
 from femdeform.jit import CompilationAnnouncer, set_threads
-from femdeform.run.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from femdeform.run.checkpoint import START_ANEW, Checkpoint, is_unsaved, read_checkpoint, write_checkpoint
 from femdeform.run.expectations import check_expectations
 from femdeform.run.output import FrameSource
 from femdeform.run.progress import Progress
@@ -73,36 +74,51 @@ def run_scene(
         ranks meet: that one is printed and ends all ranks.
     """
     comm = parallel.world()
-    loaded, meshes = _load_together(path, overrides, comm)
+    given = _read_together(path, out, overrides, resume, comm)
     if comm is None:
-        return _Run(loaded, meshes, out, resume, trace, threads, quiet, None).execute()
+        return _Run(given, trace, threads, quiet, None).execute()
     try:
-        return _Run(loaded, meshes, out, resume, trace, threads, quiet, comm).execute()
+        return _Run(given, trace, threads, quiet, comm).execute()
     except BaseException as error:  # any error on one rank would leave the others waiting for ever
-        code = error.exit_code if isinstance(error, FemdeformError) else 1
-        if isinstance(error, FemdeformError):
-            print(f"femdeform: rank {comm.Get_rank()}: {error}", file=sys.stderr, flush=True)
-        else:
-            traceback.print_exc()
-        comm.Abort(code)
+        _end_all_ranks(comm, error)
         raise
 
 
-def _load_together(
-    path: Path, overrides: Sequence[str], comm: Any | None
-) -> tuple[LoadedScene, dict[str, Mesh]]:
+def _end_all_ranks(comm: Any, error: BaseException) -> None:
+    """Say on this rank what went wrong, and end the others with it."""
+    if isinstance(error, FemdeformError):
+        print(f"femdeform: rank {comm.Get_rank()}: {error}", file=sys.stderr, flush=True)
+    else:
+        traceback.print_exception(error)
+        sys.stderr.flush()
+    comm.Abort(error.exit_code if isinstance(error, FemdeformError) else 1)
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What a run starts from: the scene, its meshes, the result folder and what is to go on from there."""
+
+    loaded: LoadedScene
+    meshes: dict[str, Mesh]
+    folder: Path
+    checkpoint: Checkpoint | None
+    overwrite: bool
+
+
+def _read_together(
+    path: Path, out: Path | None, overrides: Sequence[str], resume: bool, comm: Any | None
+) -> _Given:
     """Rank 0 reads, checks and meshes; all ranks get the same answer, or the same error."""
-    answer: tuple[LoadedScene, dict[str, Mesh]] | FemdeformError | None = None
+    answer: _Given | FemdeformError | None = None
     if comm is None or comm.Get_rank() == 0:
         try:
-            loaded = load_scene(path, overrides)
-            meshes = load_meshes(loaded)
-            faults = check_scene(loaded, meshes)
-            if faults:
-                raise InputError(faults)
-            answer = (loaded, meshes)
+            answer = _read(path, out, overrides, resume, 1 if comm is None else comm.Get_size())
         except FemdeformError as error:
             answer = error
+        except BaseException as error:
+            if comm is not None:
+                _end_all_ranks(comm, error)
+            raise
     if comm is not None:
         answer = comm.bcast(answer, root=0)
     if isinstance(answer, FemdeformError):
@@ -111,25 +127,34 @@ def _load_together(
     return answer
 
 
+def _read(path: Path, out: Path | None, overrides: Sequence[str], resume: bool, ranks: int) -> _Given:
+    loaded = load_scene(path, overrides)
+    if ranks > 1 and loaded.scene.linear_solver.method == "scipy_direct":
+        key = ("linear_solver", "method")
+        raise InputError([loaded.fault(key, f"scipy_direct is serial; use ksp on {ranks} ranks")])
+    folder = out if out is not None else Path("results") / loaded.path.stem
+    # A run that was killed before its first checkpoint has nothing to go on from: it begins again.
+    begin_again = resume and is_unsaved(folder)
+    checkpoint = read_checkpoint(folder, loaded.hash) if resume and not begin_again else None
+    meshes = load_meshes(loaded)
+    faults = check_scene(loaded, meshes)
+    if faults:
+        raise InputError(faults)
+    return _Given(loaded, meshes, folder, checkpoint, begin_again)
+
+
 class _Run:
     """One run of one scene on this rank."""
 
     def __init__(
-        self,
-        loaded: LoadedScene,
-        meshes: dict[str, Mesh],
-        out: Path | None,
-        resume: bool,
-        trace: bool,
-        threads: int | None,
-        quiet: bool,
-        comm: Any | None,
+        self, given: _Given, trace: bool, threads: int | None, quiet: bool, comm: Any | None
     ) -> None:
+        loaded, checkpoint = given.loaded, given.checkpoint
         self.loaded = loaded
         self.scene = loaded.scene
         self.comm = comm
         self.is_first = comm is None or comm.Get_rank() == 0
-        self.folder = out if out is not None else Path("results") / loaded.path.stem
+        self.folder = given.folder
         self.trace = trace
         self.quiet = quiet
         self.begin = time.perf_counter()
@@ -137,7 +162,7 @@ class _Run:
         # PETSc's BLAS is loaded later and would take all cores on every rank.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", str(self.threads))
         self.progress = Progress(self.scene.time.end, self.is_first and not quiet)
-        self.simulation: Simulation = build_simulation(self.scene, meshes, comm)
+        self.simulation: Simulation = build_simulation(self.scene, given.meshes, comm)
         self.frames = FrameSource(self.simulation)
         self.n_frames = 0
         self.n_failures = 0
@@ -149,15 +174,18 @@ class _Run:
             min_dt=default_min_dt(scene_time.dt, on_failure.min_dt),
             halve=on_failure.action == "halve_dt",
         )
-        checkpoint = self._read_checkpoint() if resume else None
         self.earlier_seconds = 0.0 if checkpoint is None else checkpoint.seconds
         self.state = self.simulation.state if checkpoint is None else self._restore(checkpoint)
         self.resumed = checkpoint is not None
         self.last_saved = self.state.step if self.resumed else -1
+        self.is_recording = False
+        self.is_interrupted = False
         self.recorder: Recorder | None = None
         if self.is_first:
             step = self.state.step if self.resumed else None
-            self.recorder = Recorder(self.folder, self.frames.mesh, resume_from_step=step, trace=trace)
+            self.recorder = Recorder(
+                self.folder, self.frames.mesh, resume_from_step=step, trace=trace, overwrite=given.overwrite
+            )
 
     # ---------------------------------------------------------------------------------------------- running
 
@@ -171,7 +199,7 @@ class _Run:
             self._write_frame(self.state)
             self._save(self.state)
         self.step_begin = time.perf_counter()
-        old = signal.signal(signal.SIGTERM, _interrupt)
+        handlers = {number: signal.signal(number, self._interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
         try:
             with CompilationAnnouncer(self.progress.notice), self.progress:
                 outcome = run_time_loop(
@@ -186,10 +214,24 @@ class _Run:
         except KeyboardInterrupt:
             return self._interrupted()
         finally:
-            signal.signal(signal.SIGTERM, old)
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
         return self._finish(outcome)
 
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        if not self.is_recording:
+            raise KeyboardInterrupt
+        self.is_interrupted = True
+
     def _on_accept(self, state: State, result: StepResult, dt: float) -> None:
+        # A step is recorded as a whole or not at all: an interrupt waits for that.
+        self.is_recording = True
+        self._record(state, result, dt)
+        self.is_recording = False
+        if self.is_interrupted:
+            raise KeyboardInterrupt
+
+    def _record(self, state: State, result: StepResult, dt: float) -> None:
         problem = self.simulation.problem
         self.state = state
         now = time.perf_counter()
@@ -260,18 +302,10 @@ class _Run:
         self.simulation.linear_solver.reset()
         self.last_saved = state.step
 
-    def _read_checkpoint(self) -> Checkpoint:
-        checkpoint = read_checkpoint(self.folder)
-        if checkpoint.scene_hash != self.loaded.hash:
-            raise InputError(
-                f"{self.folder}: the checkpoint belongs to another version of this scene; run without --resume"
-            )
-        return checkpoint
-
     def _restore(self, checkpoint: Checkpoint) -> State:
         partition = self.simulation.discretization.partition
         if checkpoint.x.shape != (partition.n_global, self.simulation.discretization.dim):
-            raise InputError(f"{self.folder}: the checkpoint is of another mesh; run without --resume")
+            raise InputError(f"{self.folder}: the checkpoint is of another mesh; {START_ANEW}")
         self.control.current = checkpoint.current_dt
         self.n_frames = checkpoint.frames
         return State(
@@ -356,9 +390,3 @@ class _Run:
             "bodies": list(self.scene.bodies),
             "obstacles": [obstacle.model_dump(mode="json") for obstacle in self.scene.obstacles],
         }
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-

@@ -53,11 +53,12 @@ class StepControl:
         """Return towards the step asked for."""
         self.current = min(self.dt, 2.0 * self.current)
 
-    def failed(self) -> bool:
-        """Halve the step; False if the run has to stop instead."""
-        if not self.halve or 0.5 * self.current < self.min_dt:
+    def failed(self, dt: float) -> bool:
+        """Halve the step that failed; False if the run has to stop instead."""
+        # The last step may be shorter than the current one: half of what was tried is what makes a difference.
+        if not self.halve or 0.5 * dt < self.min_dt:
             return False
-        self.current *= 0.5
+        self.current = 0.5 * dt
         return True
 
 
@@ -122,7 +123,7 @@ def run_time_loop(
             control.accepted()
             on_accept(state, result, dt)
             continue
-        retry = control.failed()
+        retry = control.failed(dt)
         on_failure(state, result, dt, retry)
         if not retry:
             return LoopOutcome(state, False, _failure_text(state, dt, result, control))
