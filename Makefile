@@ -16,7 +16,7 @@ DEMO := results/rubber-mount
 
 # PETSc with MUMPS, hypre and PT-Scotch and an Open MPI; an optimised BLAS for MUMPS; what gmsh and vtk load at run time.
 PACKAGES := libpetsc-real-dev libopenblas0-pthread pkg-config make g++ python3-venv \
-            libgl1 libglu1-mesa libegl1 libxrender1 libxcursor1 libxft2 libxinerama1 libxfixes3 libxi6
+            libgl1 libgl1-mesa-dri libglu1-mesa libegl1 libxrender1 libxcursor1 libxft2 libxinerama1 libxfixes3 libxi6
 
 # Open MPI refuses to start as root unless told twice; containers often run as root.
 export OMPI_ALLOW_RUN_AS_ROOT := 1
@@ -79,7 +79,7 @@ demo: setup
 	 elif [ -e $(DEMO)/checkpoint.h5 ]; then $(BIN)/femdeform run scenes/rubber-mount.yaml --out $(DEMO) --trace --resume; \
 	 else $(BIN)/femdeform run scenes/rubber-mount.yaml --out $(DEMO) --trace; fi
 	@[ -e $(DEMO)/view.png ] || $(BIN)/femdeform view $(DEMO) --png $(DEMO)/view.png
-	@[ -e $(DEMO)/report.html ] || $(BIN)/femdeform report $(DEMO)
+	@[ -e $(DEMO)/report.html ] || $(BIN)/femdeform report $(DEMO) --plots
 	@echo "demo: see $(DEMO)/report.html, view.png, plots/ and frames.pvd (ParaView)"
 
 .PHONY: clean-demo

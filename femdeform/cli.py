@@ -171,6 +171,7 @@ def build_parser() -> argparse.ArgumentParser:
     report = add("report", _report, "write one self-contained HTML page about a result", _REPORT_EPILOG)
     report.add_argument("result", type=Path, metavar="RESULT", help="result folder")
     report.add_argument("--out", type=Path, metavar="FILE", help="page to write (default: in the result folder)")
+    report.add_argument("--plots", action="store_true", help="also write plots/*.png into the result folder")
 
     mesh = add("mesh", _mesh, "make a mesh by a recipe, or describe a mesh file", _MESH_EPILOG)
     mesh.add_argument("recipe", nargs="?", metavar="RECIPE", help="name of a recipe, such as block or rubber_mount")
@@ -295,6 +296,11 @@ def _report(arguments: argparse.Namespace) -> int:
     from femdeform.post.report import write_report
 
     print(write_report(arguments.result, arguments.out))
+    if arguments.plots:
+        from femdeform.post.plots import write_plots
+
+        for path in write_plots(arguments.result):
+            print(path)
     return 0
 
 

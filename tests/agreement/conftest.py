@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,29 @@ from typing import Any
 import numpy as np
 import pytest
 
+from femdeform.fem.incremental_potential import IncrementalPotential
+from femdeform.jit import set_threads
 from femdeform.run.setup import Simulation, build_simulation
 from femdeform.run.time_loop import StepControl, run_time_loop
 from femdeform.scene import schema
+from femdeform.scene.load import load_scene
 from femdeform.scene.mesh_schema import BlockMesh
+from femdeform.scene.meshing import load_meshes
 from femdeform.types import FloatArray, Mesh
 from meshes.build import build_mesh
 
 CASES = Path(__file__).parents[2] / "verification" / "cases"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    """These problems are too small to share: on a busy machine a second thread makes them several times slower."""
+    import numba
+
+    before = numba.get_num_threads()
+    set_threads(1)
+    yield
+    set_threads(before)
 
 
 @pytest.fixture
@@ -61,11 +76,31 @@ def scene_of() -> Callable[..., schema.DeformableScene]:
 
 
 @pytest.fixture
-def run() -> Callable[..., tuple[Simulation, list[Any]]]:
-    """Run a scene on given meshes without a result folder; the simulation and its states, the first included."""
+def case() -> Callable[..., tuple[schema.DeformableScene, dict[str, Mesh]]]:
+    """A scene of verification/cases, with overrides as on the command line, and its meshes."""
 
-    def go(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> tuple[Simulation, list[Any]]:
+    def load(name: str, *overrides: str) -> tuple[schema.DeformableScene, dict[str, Mesh]]:
+        loaded = load_scene(CASES / f"{name}.yaml", overrides)
+        return loaded.scene, load_meshes(loaded)
+
+    return load
+
+
+@pytest.fixture
+def run() -> Callable[..., tuple[Simulation, list[Any]]]:
+    """Run a scene on given meshes without a result folder; the simulation and its states, the first included.
+
+    `problem_class` replaces backward Euler by another time integration.
+    """
+
+    def go(
+        scene: schema.DeformableScene,
+        meshes: Mapping[str, Mesh],
+        problem_class: type[IncrementalPotential] | None = None,
+    ) -> tuple[Simulation, list[Any]]:
         simulation = build_simulation(scene, meshes)
+        if problem_class is not None:
+            simulation.problem = problem_class(simulation.discretization, simulation.conditions, False)
         states = [simulation.state]
         outcome = run_time_loop(
             simulation.problem,

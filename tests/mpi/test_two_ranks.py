@@ -1,0 +1,320 @@
+"""Runs on two MPI ranks: the serial answer, one result folder, one message, one end for all."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scenario import block, body, material, quasistatic, scene, write
+
+from femdeform.run.checkpoint import read_checkpoint
+from femdeform.run.result import Result
+from femdeform.run.runner import run_scene
+from femdeform.run.table import read_table
+
+pytestmark = pytest.mark.mpi
+
+Process = subprocess.CompletedProcess[str]
+Ranks = Callable[..., Process]
+
+PETSC = {"method": "ksp"}
+TIGHT = {"tolerance": 1e-12}
+RUN = ("-m", "femdeform", "run")
+
+
+def contact_scene() -> dict[str, Any]:
+    """P1 tets, consistent mass and friction in one body, lumped mass in a second; gravity and an initial spin."""
+    return scene(
+        {
+            "a": body(block([0.5, 0.3, 0.3], [4, 2, 2], translate=[0, 0.01, 0]), material(E=5e4), mass="consistent"),
+            "b": body(block([0.3, 0.3, 0.3], [2, 2, 2], translate=[2, 0.02, 0]), material(E=2e4, nu=0.4)),
+        },
+        {"kind": "initial_velocity", "on": "a", "velocity": [1.0, -1.0, 0.0], "angular_velocity": [0, 2, 3]},
+        {"kind": "fixed", "on": "b.top", "components": ["x", "z"]},
+        {"kind": "initial_velocity", "on": "b", "velocity": [0.0, -1.0, 0.0]},
+        gravity=[0.0, -9.81, 0.0],
+        obstacles=[{"kind": "plane", "point": [0, 0, 0], "normal": [0, 1, 0], "friction": 0.3}],
+        time={"scheme": "backward_euler", "dt": 0.01, "end": 0.1},
+        solver=TIGHT,
+        linear_solver=PETSC,
+    )
+
+
+def loaded_scene() -> dict[str, Any]:
+    """P2 tets with traction, follower pressure and a prescribed rotation; static."""
+    return scene(
+        {"b": body(block([1.0, 0.3, 0.3], [5, 2, 2]), material(E=1e5, nu=0.4), element_order=2)},
+        {"kind": "fixed", "on": "b.left"},
+        {"kind": "rotate", "on": "b.right", "axis": [1, 0, 0], "rate": 0.6},
+        {"kind": "traction", "on": "b.front", "value": [0.0, 300.0, 100.0]},
+        {"kind": "pressure", "on": "b.top", "value": 2000.0},
+        time=quasistatic(dt=0.5),
+        solver=TIGHT,
+        linear_solver=PETSC,
+    )
+
+
+def thin_scene() -> dict[str, Any]:
+    """A membrane over a ball, a rod beside it, P2 triangles have no place in 3D; GAMG on two ranks."""
+    return scene(
+        {
+            "c": body(
+                {"recipe": "cloth", "size": [1.0, 1.0], "cells": [6, 6]}, material(E=1e6), kind="membrane", thickness=0.01
+            ),
+            "r": body({"recipe": "rod", "start": [0, 1, 0], "end": [1, 1, 0], "cells": 8}, kind="rod", cross_section=1e-3),
+        },
+        {"kind": "fixed", "on": "r.start"},
+        {"kind": "fixed", "on": "c.left"},
+        {"kind": "translate", "on": "c.right", "velocity": [-0.3, 0.1, 0.0]},
+        gravity=[0.0, -9.81, 0.0],
+        obstacles=[{"kind": "sphere", "center": [0, -0.3, 0], "radius": 0.28, "friction": 0.2}],
+        time={"scheme": "backward_euler", "dt": 0.02, "end": 0.2},
+        solver=TIGHT,
+        linear_solver={"method": "ksp", "preset": "newton-gamg"},
+    )
+
+
+def plane_scene() -> dict[str, Any]:
+    """P2 triangles under pressure and traction, consistent mass; block Jacobi with ICC on two ranks."""
+    return scene(
+        {"b": body(block([1.0, 0.4], [6, 3]), material(E=1e5), element_order=2, mass="consistent")},
+        {"kind": "fixed", "on": "b.left"},
+        {"kind": "pressure", "on": "b.boundary", "value": 500.0},
+        {"kind": "traction", "on": "b.right", "value": [0.0, -3000.0]},
+        gravity=[0.0, -9.81],
+        time={"scheme": "backward_euler", "dt": 0.05, "end": 0.2},
+        solver=TIGHT,
+        linear_solver={"method": "ksp", "preset": "newton-icc"},
+    )
+
+
+SCENES = {"contact": contact_scene, "loads": loaded_scene, "thin": thin_scene, "plane": plane_scene}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_same_answer_as_on_one_rank(name: str, tmp_path: Path, two_ranks: Ranks) -> None:
+    data = SCENES[name]()
+    data["output"] = {"fields": ["displacement", "velocity", "jacobian", "energy_density"], "every": 2}
+    path = write(data, tmp_path / "s.yaml")
+    done = two_ranks(*RUN, "s.yaml", "--out", "two")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("done:") == 1
+    assert run_scene(path, out=tmp_path / "one") == 0
+
+    one, two = Result.open(tmp_path / "one"), Result.open(tmp_path / "two")
+    assert one.facts["ranks"] == 1
+    assert two.facts["ranks"] == 2
+    assert two.facts["n_dofs"] == one.facts["n_dofs"]
+    a, b = one.read_final(), two.read_final()
+    size = np.abs(a.displacement).max()
+    assert size > 0.01
+    np.testing.assert_allclose(b.displacement, a.displacement, rtol=0.0, atol=1e-8 * size)
+    x, y = read_checkpoint(tmp_path / "one"), read_checkpoint(tmp_path / "two")
+    np.testing.assert_allclose(y.v, x.v, rtol=0.0, atol=1e-6 * max(float(np.abs(x.v).max()), 1e-12))
+
+    # One merged result: all points and cells in the order of the serial run, one row a step, one frame a file.
+    np.testing.assert_array_equal(b.points, a.points)
+    assert [kind for kind, _ in b.blocks] == [kind for kind, _ in a.blocks]
+    for (_, cells), (_, others) in zip(a.blocks, b.blocks, strict=True):
+        np.testing.assert_array_equal(cells, others)
+    for field in ("jacobian", "energy_density"):
+        for part, other in zip(a.cell_data[field], b.cell_data[field], strict=True):
+            np.testing.assert_allclose(other, part, rtol=0.0, atol=1e-6 * np.abs(part).max())
+    assert list(two.history["step"]) == list(one.history["step"])
+    assert len(two.frames) == len(one.frames)
+    for column in ("kinetic_energy", "elastic_energy", "potential_energy", "force_scale"):
+        scale = np.abs(one.history[column]).max()
+        np.testing.assert_allclose(two.history[column], one.history[column], atol=1e-7 * max(scale, 1e-12))
+
+
+def test_ranks_without_cells(tmp_path: Path, two_ranks: Ranks) -> None:
+    """More ranks than cells: the idle ones take part in everything without a node of their own."""
+    data = scene(
+        {"b": body(block([1.0, 1.0], [1, 1]), mass="consistent")},
+        {"kind": "fixed", "on": "b.left"},
+        {"kind": "pressure", "on": "b.right", "value": 100.0},
+        gravity=[0.0, -9.81],
+        obstacles=[{"kind": "plane", "point": [0, 0], "normal": [0, 1], "friction": 0.1}],
+        time={"scheme": "backward_euler", "dt": 0.05, "end": 0.1},
+        solver=TIGHT,
+        linear_solver=PETSC,
+    )
+    path = write(data, tmp_path / "s.yaml")
+    done = two_ranks(*RUN, "s.yaml", "--out", "three", ranks=3)
+    assert done.returncode == 0, done.stderr
+    assert run_scene(path, out=tmp_path / "one") == 0
+    one, three = read_checkpoint(tmp_path / "one"), read_checkpoint(tmp_path / "three")
+    np.testing.assert_allclose(three.x, one.x, rtol=0.0, atol=1e-9)
+
+
+# ------------------------------------------------------------------------------------------- failure
+
+
+def test_bad_input_is_reported_once(tmp_path: Path, two_ranks: Ranks) -> None:
+    data = contact_scene()
+    data["bodies"]["a"]["material"]["density"] = -1.0
+    data["conditions"][1]["on"] = "b.topp"
+    write(data, tmp_path / "s.yaml")
+    done = two_ranks(*RUN, "s.yaml", "--out", "out")
+    assert done.returncode == 2
+    assert done.stderr.count("density") == 1
+    assert done.stderr.count("s.yaml:") == 1
+    assert not (tmp_path / "out").exists()
+    data["bodies"]["a"]["material"]["density"] = 1.0
+    write(data, tmp_path / "s.yaml")
+    done = two_ranks(*RUN, "s.yaml", "--out", "out")
+    assert done.returncode == 2
+    assert done.stderr.count("no group `topp`") == 1
+
+
+def test_the_serial_solver_is_refused(tmp_path: Path, two_ranks: Ranks) -> None:
+    data = contact_scene()
+    data["linear_solver"] = {"method": "scipy_direct"}
+    write(data, tmp_path / "s.yaml")
+    done = two_ranks(*RUN, "s.yaml", "--out", "out")
+    assert done.returncode == 2
+    assert done.stderr.count("scipy_direct is serial") == 1
+    assert "linear_solver.method" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_existing_result_is_not_touched(tmp_path: Path, two_ranks: Ranks) -> None:
+    write(contact_scene(), tmp_path / "s.yaml")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").write_text('{"status": "done"}')
+    done = two_ranks(*RUN, "s.yaml", "--out", "out")
+    assert done.returncode == 2
+    assert done.stderr.count("holds a result already") == 1
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["result.json"]
+
+
+BROKEN = """\
+import sys
+from pathlib import Path
+from femdeform.parallel import launched_rank
+from femdeform.fem.incremental_potential import IncrementalPotential
+from femdeform.errors import MissingDependencyError
+from femdeform.run.runner import run_scene
+
+calls = 0
+gradient = IncrementalPotential.full_gradient
+
+def failing(self, x):
+    global calls
+    calls += 1
+    if calls > 5 and launched_rank() == RANK:
+        raise ERROR("the memory of this rank is gone")
+    return gradient(self, x)
+
+IncrementalPotential.full_gradient = failing
+sys.exit(run_scene(Path("s.yaml"), out=Path("out")))
+"""
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+@pytest.mark.parametrize(("error", "code"), [("RuntimeError", 1), ("MissingDependencyError", 4)])
+def test_an_error_on_one_rank_ends_all(rank: int, error: str, code: int, tmp_path: Path, two_ranks: Ranks) -> None:
+    write(contact_scene(), tmp_path / "s.yaml")
+    (tmp_path / "broken.py").write_text(BROKEN.replace("RANK", str(rank)).replace("ERROR", error))
+    begin = time.monotonic()
+    done = two_ranks("broken.py", timeout=60.0)
+    assert time.monotonic() - begin < 40.0
+    assert done.returncode == code
+    assert done.stderr.count("the memory of this rank is gone") == 1
+    if error == "RuntimeError":
+        assert "Traceback" in done.stderr
+    else:
+        assert f"femdeform: rank {rank}: " in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_a_bug_while_reading_ends_all(tmp_path: Path, two_ranks: Ranks) -> None:
+    """Rank 0 alone reads: the others must not wait for what will never come."""
+    write(contact_scene(), tmp_path / "s.yaml")
+    (tmp_path / "broken.py").write_text(
+        "import sys\nfrom pathlib import Path\nfrom femdeform.run import runner\n"
+        "def load(*_):\n    raise RuntimeError('a bug in reading')\n"
+        "runner.load_scene = load\nsys.exit(runner.run_scene(Path('s.yaml'), out=Path('out')))\n"
+    )
+    done = two_ranks("broken.py", timeout=60.0)
+    assert done.returncode == 1
+    assert done.stderr.count("RuntimeError: a bug in reading") == 1
+
+
+def test_no_convergence_is_exit_3_on_all_ranks(tmp_path: Path, two_ranks: Ranks) -> None:
+    data = loaded_scene()
+    data["solver"] = {"max_iterations": 2}
+    data["on_failure"] = {"action": "stop"}
+    write(data, tmp_path / "s.yaml")
+    done = two_ranks(*RUN, "s.yaml", "--out", "out")
+    assert done.returncode == 3
+    assert done.stderr.count("no convergence in 2 iterations") == 1
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["status"] == "not_converged"
+    assert (tmp_path / "out" / "final.vtu").exists()
+
+
+# ------------------------------------------------------------------------------------------- resume
+
+KILLED = """\
+import os, signal, sys
+from pathlib import Path
+from femdeform.parallel import launched_rank
+from femdeform.run import runner
+
+save = runner._Run._save
+
+def killed(self, state):
+    save(self, state)
+    if state.step == 4:
+        self.comm.Barrier()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+runner._Run._save = killed
+sys.exit(runner.run_scene(Path("s.yaml"), out=Path("broken")))
+"""
+
+
+def test_kill_and_resume(tmp_path: Path, two_ranks: Ranks) -> None:
+    data = contact_scene()
+    data["output"] = {"every": 3, "checkpoint_every": 4}
+    write(data, tmp_path / "s.yaml")
+    (tmp_path / "killed.py").write_text(KILLED)
+    done = two_ranks("killed.py")
+    assert done.returncode not in (0, 1, 2, 3)
+    assert read_checkpoint(tmp_path / "broken").step == 4
+    whole = two_ranks(*RUN, "s.yaml", "--out", "whole")
+    assert whole.returncode == 0, whole.stderr
+    resumed = two_ranks(*RUN, "s.yaml", "--out", "broken", "--resume")
+    assert resumed.returncode == 0, resumed.stderr
+    a, b = read_checkpoint(tmp_path / "whole"), read_checkpoint(tmp_path / "broken")
+    np.testing.assert_allclose(b.x, a.x, rtol=0.0, atol=1e-10)
+    assert b.step == a.step == 10
+    assert list(read_table(tmp_path / "broken" / "history.csv")["step"]) == list(range(1, 11))
+    again = two_ranks(*RUN, "s.yaml", "--out", "broken", "--resume", "--set", "time.dt=0.02")
+    assert again.returncode == 2
+    assert again.stderr.count("another version of this scene") == 1
+    # What two ranks began, one can end.
+    assert run_scene(tmp_path / "s.yaml", out=tmp_path / "broken", resume=True) == 0
+
+
+def test_sigterm_to_all_ranks(tmp_path: Path, two_ranks: Ranks) -> None:
+    """The launcher hands SIGTERM on: the run ends, and its last checkpoint is one to go on from."""
+    data = contact_scene()
+    data["output"] = {"checkpoint_every": 2}
+    write(data, tmp_path / "s.yaml")
+    script = KILLED.replace("signal.SIGKILL", "signal.SIGTERM")
+    (tmp_path / "stopped.py").write_text(script)
+    done = two_ranks("stopped.py", timeout=60.0)
+    assert done.returncode == 130
+    assert done.stderr.count("go on with --resume from step 4") == 1
+    assert signal.SIGTERM  # both ranks sent it to themselves, as the launcher would
+    assert read_checkpoint(tmp_path / "broken").step == 4
+    resumed = two_ranks(*RUN, "s.yaml", "--out", "broken", "--resume")
+    assert resumed.returncode == 0, resumed.stderr

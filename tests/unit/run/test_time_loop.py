@@ -1,0 +1,140 @@
+"""Stepping with a failure policy: which steps are tried, accepted, halved; when it stops."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from femdeform.fem.incremental_potential import State
+from femdeform.run.time_loop import LoopOutcome, StepControl, default_min_dt, run_time_loop
+from femdeform.step_problem import StepResult
+
+
+@dataclass
+class Fake:
+    """A problem and a solver in one, whose steps fail where `fails(time, dt)` says."""
+
+    fails: Callable[[float, float], bool]
+    tried: list[tuple[float, float]] = field(default_factory=list)
+    accepted: list[float] = field(default_factory=list)
+    failures: list[tuple[float, bool]] = field(default_factory=list)
+    dt: float = 0.0
+
+    def begin_step(self, state: State, dt: float) -> None:
+        self.dt = dt
+
+    def step(self, problem: Any, state: State, observe: Any = None) -> StepResult:
+        self.tried.append((state.time, self.dt))
+        bad = self.fails(state.time, self.dt)
+        return StepResult(state.x + self.dt, not bad, "too hard" if bad else "fine", 3, 3, 1.0, 0.5)
+
+    def accept(self, state: State, x: Any) -> State:
+        return State(x, state.v, state.time + self.dt, state.step + 1)
+
+    def run(self, control: StepControl, time: float = 0.0) -> LoopOutcome:
+        state = State(np.zeros((1, 2)), np.zeros((1, 2)), time)
+        return run_time_loop(
+            self,  # type: ignore[arg-type]
+            self,
+            control,
+            state,
+            on_accept=lambda state, result, dt: self.accepted.append(dt),
+            on_failure=lambda state, result, dt, retry: self.failures.append((dt, retry)),
+            observe=lambda step: None,
+        )
+
+
+def never(time: float, dt: float) -> bool:
+    return False
+
+
+def control(dt: float = 0.1, end: float = 1.0, min_dt: float = 0.01, halve: bool = True) -> StepControl:
+    return StepControl(dt, end, min_dt, halve)
+
+
+def test_equal_steps_to_the_end() -> None:
+    fake = Fake(never)
+    outcome = fake.run(control())
+    assert outcome.finished
+    assert outcome.reason == ""
+    assert outcome.state.step == 10
+    assert outcome.state.time == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(fake.accepted, 0.1)
+
+
+@pytest.mark.parametrize(("dt", "end", "steps"), [(0.3, 1.0, 4), (0.1, 0.7, 7), (1.0, 1.0, 1), (1.0 / 3.0, 1.0, 3)])
+def test_the_last_step_ends_at_the_end(dt: float, end: float, steps: int) -> None:
+    """What is left is a step of its own, unless it is rounding."""
+    fake = Fake(never)
+    outcome = fake.run(control(dt=dt, end=end, min_dt=dt / 64))
+    assert outcome.state.step == steps
+    assert outcome.state.time == pytest.approx(end, rel=1e-12)
+    assert max(fake.accepted) <= dt * (1.0 + 1e-9)
+
+
+def test_halving_and_return_to_the_step_asked_for() -> None:
+    """From t = 0.22 to 0.35 only steps of at most 0.03 succeed."""
+    fake = Fake(lambda time, dt: time + dt > 0.22 and time < 0.35 and dt > 0.03)
+    outcome = fake.run(control())
+    assert outcome.finished
+    assert fake.failures[:2] == [(0.1, True), (0.05, True)]
+    assert min(fake.accepted[:-1]) == 0.025
+    for before, after in itertools.pairwise(fake.accepted):
+        assert after <= 2.0 * before * (1.0 + 1e-12)  # no jump back
+    assert fake.accepted.count(0.1) >= 6
+    assert sum(fake.accepted) == pytest.approx(1.0, abs=1e-12)
+    # A retry starts from the state of the failed attempt.
+    (first, second, third) = fake.tried[2:5]
+    assert first[0] == second[0] == third[0]
+    assert (first[1], second[1], third[1]) == (0.1, 0.05, 0.025)
+
+
+def test_it_stops_at_the_smallest_step() -> None:
+    fake = Fake(lambda time, dt: time > 0.45)
+    outcome = fake.run(control(min_dt=0.02))
+    assert not outcome.finished
+    assert outcome.state.step == 5
+    assert outcome.state.time == pytest.approx(0.5)
+    assert fake.failures == [(0.1, True), (0.05, True), (0.025, False)]
+    for part in ("step 6", "too hard", "min_dt = 0.02 s", "5.00e-01"):
+        assert part in outcome.reason
+
+
+def test_stop_means_no_second_attempt() -> None:
+    fake = Fake(lambda time, dt: time > 0.45)
+    outcome = fake.run(control(halve=False))
+    assert not outcome.finished
+    assert fake.failures == [(0.1, False)]
+    assert "min_dt" not in outcome.reason
+
+
+def test_a_failed_last_step_is_halved_itself() -> None:
+    """A remainder shorter than half of dt: halving dt alone would try the very same step again."""
+    fake = Fake(lambda time, dt: time > 0.95 and dt > 0.015)
+    outcome = fake.run(control(dt=0.32, end=1.0, min_dt=0.001))
+    assert outcome.finished
+    assert len(set(fake.tried)) == len(fake.tried)
+
+
+def test_going_on_with_a_small_step() -> None:
+    fake = Fake(never)
+    outcome = fake.run(StepControl(0.1, 1.0, 0.01, True, current=0.0125), time=0.5)
+    assert outcome.finished
+    np.testing.assert_allclose(fake.accepted[:4], [0.0125, 0.025, 0.05, 0.1])
+
+
+def test_nothing_left_to_do() -> None:
+    fake = Fake(never)
+    outcome = fake.run(control(), time=1.0)
+    assert outcome.finished
+    assert fake.tried == []
+
+
+def test_default_smallest_step() -> None:
+    assert default_min_dt(0.64, None) == 0.01
+    assert default_min_dt(0.64, 0.3) == 0.3

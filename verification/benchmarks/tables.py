@@ -1,0 +1,87 @@
+"""Tables of results, for the screen and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One entry: short on the screen, with more detail in Markdown."""
+
+    short: str
+    long: str
+
+
+@dataclass
+class Table:
+    """A table of results.
+
+    Attributes
+    ----------
+    title : str
+    columns : sequence of str
+    rows : list of list of str or Cell
+        The first column names what the row is about.
+    notes : list of str
+        Sentences below the table.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: list[list[str | Cell]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def to_markdown(self) -> str:
+        """Return the table in Markdown, with the long form of its cells."""
+        lines = [f"### {self.title}", ""]
+        lines.append("| " + " | ".join(self.columns) + " |")
+        lines.append("|" + "|".join(["---"] + ["---:"] * (len(self.columns) - 1)) + "|")
+        for row in self.rows:
+            texts = [entry.long if isinstance(entry, Cell) else entry for entry in row]
+            lines.append("| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |")
+        for note in self.notes:
+            lines += ["", note]
+        return "\n".join(lines) + "\n"
+
+    def to_rich(self) -> Any:
+        """Return the table for `rich`, with the short form of its cells."""
+        from rich.markup import escape
+        from rich.table import Table as RichTable
+
+        caption = "\n".join(self.notes)
+        table = RichTable(title=escape(self.title), title_justify="left", caption=escape(caption) or None)
+        table.caption_justify = "left"
+        for number, column in enumerate(self.columns):
+            table.add_column(escape(column), justify="left" if number == 0 else "right")
+        for row in self.rows:
+            table.add_row(*(escape(entry.short if isinstance(entry, Cell) else entry) for entry in row))
+        return table
+
+
+def seconds(value: dict[str, float] | float | None) -> str | Cell:
+    """A time or a summary of times (see `measure.summary`) in ms or s; a dash where there is none."""
+    if value is None:
+        return "-"
+    if isinstance(value, dict):
+        short = _duration(value["median"])
+        return Cell(short, f"{short} [{_duration(value['min'])}, {_duration(value['max'])}]")
+    return _duration(value)
+
+
+def _duration(value: float) -> str:
+    return f"{1e3 * value:.3g} ms" if value < 0.9995 else f"{value:.3g} s"
+
+
+def ratio(theirs: dict[str, float] | None, ours: dict[str, float] | None) -> str:
+    """How many times longer they take than we do, by the medians."""
+    if theirs is None or ours is None:
+        return "-"
+    return f"{theirs['median'] / ours['median']:.1f} x"
+
+
+def megabytes(size: int | None) -> str:
+    """A size in bytes as MB."""
+    return "-" if size is None else f"{size / 1e6:.0f} MB"
