@@ -107,7 +107,8 @@ class ProjectedNewton:
                 return result(False, "the residual is not finite")
             if current.norm <= self.options.tolerance * problem.force_scale:
                 return result(True, "residual below tolerance")
-            if iteration > guess_iterations and current.norm <= problem.roundoff_norm(current.x):
+            # The level of rounding is an estimate: it ends a step only once the residual falls no further.
+            if current.norm > 0.25 * previous_norm and current.norm <= problem.roundoff_norm(current.x):
                 return result(True, "residual at the level of rounding")
             if iteration >= self.options.max_iterations:
                 return result(False, f"no convergence in {iteration} iterations")

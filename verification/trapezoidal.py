@@ -28,7 +28,8 @@ class TrapezoidalPotential(IncrementalPotential):
 
     References
     ----------
-    N. M. Newmark, A method of computation for structural dynamics, Journal of the Engineering Mechanics Division 85 (1959).
+    N. M. Newmark, A method of computation for structural dynamics, Journal of the Engineering Mechanics Division 85
+    (1959).
 
     Limitations
     -----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def test_torque_tends_to_saint_venants(
         torque = float(np.sum(arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0]))
         ratios.append(torque / square_bar_torque(E / (2.0 * (1.0 + nu)), SIDE, TWIST))
     print(f"P{order}: {ratios} of Saint-Venant's torque")
-    assert all(a > b for a, b in zip(ratios[:-1], ratios[1:], strict=True))
+    assert all(a > b for a, b in pairwise(ratios))
     assert 1.0 < ratios[-1] < 1.0 + close
 
 

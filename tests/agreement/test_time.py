@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def test_trapezoidal_rule_is_of_second_order(
     """The reference of the test above, against itself: its own error does not count there."""
     meshes = {"body": block([10, 2], [1.0, 0.2])}
     ends = [run(falling_beam(scene_of, n), meshes, TrapezoidalPotential)[1][-1].x for n in (150, 300, 600)]
-    first, second = (float(np.abs(b - a).max()) for a, b in zip(ends[:-1], ends[1:], strict=True))
+    first, second = (float(np.abs(b - a).max()) for a, b in pairwise(ends))
     print(f"differences {first}, {second} m: rate {np.log2(first / second)}")
     assert np.log2(first / second) == pytest.approx(2.0, abs=0.2)
 

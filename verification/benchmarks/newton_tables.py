@@ -31,7 +31,13 @@ def findings(results: Results) -> Findings:
         f"{stiffness_number(n):.3g}. Medians; in Markdown with [minimum, maximum]. Each case runs in a process of its "
         "own; memory is the peak of the whole process."
     )
-    tables = [_assembly(results), _iterations(results), _ranks(results), _comparison(results), _aims(results)]
+    tables = [
+        _assembly(results),
+        *(_iterations(results, mode) for mode in _MODES),
+        _ranks(results),
+        _comparison(results),
+        _aims(results),
+    ]
     failures = [f"{name}: {o.reason}" for name, o in results.own_cases().items() if o.status == "failed"]
     return Findings(summary, tables, _data(results), failures)
 
@@ -58,47 +64,38 @@ def _assembly(results: Results) -> Table:
     return table
 
 
-def _iterations(results: Results) -> Table:
+def _iterations(results: Results, mode: str) -> Table:
     table = Table(
-        f"One Newton iteration, {results.cells}^3 cells",
-        [
-            "preset",
-            "residual + tangent",
-            "first solve",
-            "solve",
-            "iteration",
-            "CG steps",
-            "linear residual",
-            "memory",
-            "of it solver",
-        ],
+        f"One Newton iteration, {mode}, {results.cells}^3 cells",
+        ["preset", "evaluation", "first solve", "solve", "iteration", "linear steps", "linear residual", "memory"],
         notes=[
-            "solve: values into PETSc, set-up and solution, repeated; first solve: with all that depends on the mesh "
-            "only. linear residual: |K dx + r| / |r|, recomputed."
+            "evaluation: residual and tangent. solve: values into PETSc, set-up and solution, repeated; first solve: "
+            "with all that depends on the mesh only. linear steps: of CG, 1 for a direct solver. linear residual: "
+            "|K dx + r| / |r|, recomputed. memory: peak of the process, and what of it came with the first solve."
         ],
     )
-    for mode in _MODES:
-        done = {name: o for name, o in results.iterations.get(mode, {}).items() if o.done}
-        for preset, outcome in done.items():
-            data = outcome.data
-            repeated = data["repeated"] or {}
-            evaluate = _sum_of_medians(repeated, ("residual", "tangent"))
-            table.rows.append(
-                [
-                    f"{preset}, {mode}",
-                    seconds(evaluate),
-                    seconds(data["first"]["solve"]),
-                    seconds(repeated.get("solve")),
-                    seconds(repeated.get("whole")),
-                    str(data["iterations"]) if data["converged"] else data["reason"],
-                    f"{data['relative_residual']:.1e}",
-                    megabytes(data["memory"][0]),
-                    megabytes(data["memory"][0] - data["memory_before_solve"][0]),
-                ]
-            )
-            if data["converged"] and data["repeated"] is None:
-                table.notes.append(f"{preset}, {mode}: not repeated, because the first iteration took too long.")
-        _add_reasons(table, {f"{name}, {mode}": o for name, o in results.iterations.get(mode, {}).items()})
+    outcomes = results.iterations.get(mode, {})
+    for preset, outcome in outcomes.items():
+        if not outcome.done:
+            continue
+        data = outcome.data
+        repeated = data["repeated"] or {}
+        total, before = data["memory"][0], data["memory_before_solve"][0]
+        table.rows.append(
+            [
+                preset,
+                seconds(_sum_of_medians(repeated, ("residual", "tangent"))),
+                seconds(data["first"]["solve"]),
+                seconds(repeated.get("solve")),
+                seconds(repeated.get("whole")),
+                str(data["iterations"]) if data["converged"] else data["reason"],
+                f"{data['relative_residual']:.1e}",
+                f"{megabytes(total)} (+{megabytes(total - before)})",
+            ]
+        )
+        if data["converged"] and data["repeated"] is None:
+            table.notes.append(f"{preset}: not repeated, because the first iteration took too long.")
+    _add_reasons(table, outcomes)
     return table
 
 
@@ -109,7 +106,7 @@ def _sum_of_medians(parts: dict[str, Any], names: tuple[str, ...]) -> float | No
 def _ranks(results: Results) -> Table:
     table = Table(
         f"Two ranks, one thread each, {results.cells}^3 cells",
-        ["preset", "one rank", "two ranks", "speed-up", "residual + tangent", "solve", "CG steps", "memory a rank"],
+        ["preset", "one rank", "two ranks", "speed-up", "of evaluation", "of solve", "linear steps", "memory a rank"],
     )
     for mode in _MODES:
         outcomes = results.ranks.get(mode, {})
@@ -141,13 +138,13 @@ def _repeated(outcome: Outcome | None) -> dict[str, Any] | None:
 
 
 def _comparison(results: Results) -> Table:
-    names = list(results.peers)
+    names = [name for name, outcome in results.peers.items() if outcome.done]
     columns = ["", "femdeform"]
     single = results.own.get("single")
     if single is not None:
         columns.append("one thread")
     for name in names:
-        columns += [name, "ratio"]
+        columns += [name, f"{name} / ours"]
     table = Table(f"Beside other codes, {results.peer_cells}^3 cells", columns)
     own = _own_times(results)
     rows: dict[str, list[str | Cell]] = {
@@ -174,7 +171,7 @@ def _comparison(results: Results) -> Table:
         table.notes += [f"{name}: {note}" for note in outcome.data.get("notes", [])]
     if results.own.get("iteration") is not None and results.own["iteration"].done:
         steps = results.own["iteration"].data["iterations"]
-        table.notes.append(f"femdeform: {results.best['statics']}, {steps} CG steps.")
+        table.notes.append(f"femdeform: {results.best['statics']}, {steps} linear steps.")
     _add_reasons(table, results.own | results.peers)
     return table
 

@@ -16,6 +16,8 @@ from verification.benchmarks import machine
 from verification.benchmarks.tables import Table
 
 DEFAULT_FOLDER = Path("results") / "bench"
+# Characters a line where the output is no terminal, and nobody else says how wide it is.
+_WIDTH = 120
 
 
 @dataclass
@@ -78,6 +80,8 @@ def run_benchmarks(names: list[str], out: Path | None) -> int:
     folder = DEFAULT_FOLDER if out is None else out
     atomic.make_folder(folder)
     console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=_WIDTH)
     facts = machine.machine_facts()
     for line in machine.describe(facts):
         console.print(line, style="dim", markup=False, soft_wrap=True)

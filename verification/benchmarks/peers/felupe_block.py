@@ -76,12 +76,12 @@ def compare(block: Any) -> dict[str, Any]:
         return K, r, dx
 
     times = []
-    remainder = np.inf
+    remainder = float("inf")
     for _ in range(6):
         start = time.perf_counter()
         K, r, dx = iteration()
         times.append(time.perf_counter() - start)
-        remainder = np.linalg.norm(K @ dx + r) / np.linalg.norm(r)
+        remainder = float(np.linalg.norm(K @ dx + r) / np.linalg.norm(r))
     if remainder < 10.0 * _TOLERANCE:
         result["iteration"] = summary(times[1:])
     result |= {
