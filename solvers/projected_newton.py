@@ -18,6 +18,9 @@ from solvers.linear.interface import LinearSolver
 # because differences of Phi may be rounding; so short a way from the solution few backtracks make sense.
 _FLAT = 1e-8
 _FLAT_BACKTRACKS = 6
+# A full step that reduces the residual at least to this part is taken for a neighbourhood of the solution. Clamped
+# Hessians converge linearly, under compression slowly: to ask for more would keep the exact one away for ever.
+_SETTLED = 0.95
 
 
 @dataclass
@@ -115,7 +118,7 @@ class ProjectedNewton:
 
             problem.linearize_at(current.x)
             value, magnitude = problem.value(current.x), problem.value_magnitude
-            settled = previous_length == 1.0 and current.norm < 0.5 * previous_norm
+            settled = previous_length == 1.0 and current.norm < _SETTLED * previous_norm
             attempts = [True] if self.options.hessian == "projected" else [False]
             if self.options.hessian == "adaptive":
                 attempts = [False, True] if settled else [True]
@@ -199,7 +202,7 @@ class ProjectedNewton:
             x = current.x + length * direction.step
             if is_flat:
                 candidate = self._evaluate(problem, x)
-                if candidate.norm <= (1.0 - 0.5 * length) * current.norm:
+                if candidate.norm <= (1.0 - search.armijo * length) * current.norm:
                     return length, candidate
             elif problem.value(x) <= value + search.armijo * length * direction.slope:
                 return length, self._evaluate(problem, x)

@@ -203,7 +203,7 @@ class Conditions:
     ) -> None:
         dim = self._discretization.dim
         components = np.ones(dim, dtype=bool)
-        if isinstance(condition, schema.Fixed) and condition.components is not None:
+        if condition.components is not None:
             components = np.array([axis in condition.components for axis in "xyz"[:dim]])
         chosen = self.nodes(condition.on)
         center = np.zeros(dim)

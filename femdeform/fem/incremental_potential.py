@@ -179,8 +179,9 @@ class IncrementalPotential:
 
     def value(self, x: FloatArray) -> float:
         """Phi(x) [J], without the constant that pressure has none of; inf where a law is not defined."""
-        terms: list[CellTerm | PenaltyContact] = [*self._terms, *self.contacts]
-        parts = [self.partition.sum(term.value(x)) for term in terms]
+        # One sum over the ranks a kind: a rank has terms only of the bodies it has cells of.
+        kinds: list[Sequence[CellTerm | PenaltyContact]] = [self.elastic, self.pressures, self.contacts]
+        parts = [self.partition.sum(sum(term.value(x) for term in kind)) for kind in kinds]
         parts.append(-self.partition.dot(self.load, x - self._reference))
         if not self.quasistatic:
             offset = x - self._x_hat

@@ -31,6 +31,7 @@ from femdeform.step_problem import IterationObserver, StepResult
 from femdeform.types import Mesh
 
 _INTERRUPTED = 130
+_THREADED_CELLS = 2000
 
 
 def run_scene(
@@ -158,6 +159,10 @@ class _Run:
         self.trace = trace
         self.quiet = quiet
         self.begin = time.perf_counter()
+        n_cells = sum(mesh.n_cells for mesh in given.meshes.values())
+        if threads is None and n_cells < _THREADED_CELLS and "FEMDEFORM_THREADS" not in os.environ:
+            # Few cells are done before a second thread has woken up.
+            threads = 1
         self.threads = set_threads(threads)
         # PETSc's BLAS is loaded later and would take all cores on every rank.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", str(self.threads))

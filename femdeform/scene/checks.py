@@ -114,7 +114,7 @@ def _dimension_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh
             yield Finding(path, f"needs {dim} entries in a {dim}D scene, not {len(vector)}")
     for index, condition in enumerate(scene.conditions):
         yield from _rotation_findings(condition, dim, ("conditions", index))
-        if isinstance(condition, schema.Fixed) and condition.components:
+        if isinstance(condition, schema.SUPPORTS) and condition.components:
             for place, component in enumerate(condition.components):
                 if component not in _COMPONENTS[:dim]:
                     path = ("conditions", index, "components", place)

@@ -256,8 +256,7 @@ class _ConditionModel(SceneModel):
     on: Selection = Field(description="`body`, `body.group`, or a box, plane, sphere or list of nodes")
 
 
-class Fixed(_ConditionModel):
-    kind: Literal["fixed"] = Field(description="held in place")
+class _Support(_ConditionModel):
     components: (
         Annotated[
             tuple[Literal["x", "y", "z"], ...],
@@ -266,10 +265,14 @@ class Fixed(_ConditionModel):
             AfterValidator(_distinct),
         ]
         | None
-    ) = Field(default=None, description="components held; all when left out")
+    ) = Field(default=None, description="components prescribed, the others are free; all when left out")
 
 
-class _Motion(_ConditionModel):
+class Fixed(_Support):
+    kind: Literal["fixed"] = Field(description="held in place")
+
+
+class _Motion(_Support):
     start: NonNegative = Field(default=0.0, description="time at which the motion starts [s]")
     stop: Positive | None = Field(default=None, description="time at which it stops and holds [s]")
 
@@ -303,7 +306,7 @@ class Twist(Rotate):
     elongation_rate: Finite = Field(default=0.0, description="velocity along the axis [m/s]")
 
 
-class Path(_ConditionModel):
+class Path(_Support):
     kind: Literal["path"] = Field(description="moves along a given path")
     times: list[Finite] = Field(min_length=2, description="increasing times [s]")
     displacements: list[Vector] = Field(min_length=2, description="displacement at each time, linear between [m]")
@@ -314,6 +317,10 @@ class Path(_ConditionModel):
             raise ValueError(f"displacements: {len(self.displacements)} displacements for {len(self.times)} times")
         _check_increasing(self.times)
         return self
+
+
+# Conditions that prescribe positions, with `components`.
+SUPPORTS = (Fixed, Translate, Rotate, Twist, Path)
 
 
 class _Load(_ConditionModel):

@@ -59,7 +59,7 @@ def lowest_points(path: FloatArray) -> FloatArray:
 
 @pytest.mark.slow
 def test_published_swing_by_the_published_scheme(swing: Callable[..., FloatArray]) -> None:
-    """Trapezoidal rule with the step of 0.005 s that the published row belongs to, last period of ten seconds."""
+    """Trapezoidal rule, the finest of the steps the benchmark was run with, last period of ten seconds."""
     path = swing(0.005, 10.0, TrapezoidalPotential)
     last = path[path[:, 0] >= path[-1, 0] - 1.0 / FREQUENCY, 1:]
     mean = 0.5 * (last.max(axis=0) + last.min(axis=0))
