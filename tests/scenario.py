@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from femdeform.errors import InputError
 from femdeform.fem.incremental_potential import IncrementalPotential, State
+from femdeform.jit import set_threads
 from femdeform.run.setup import Simulation, build_simulation
 from femdeform.scene.checks import check_scene
 from femdeform.scene.load import load_scene
@@ -69,7 +70,10 @@ def build(data: dict[str, Any]) -> Simulation:
         faults = check_scene(loaded, meshes)
         if faults:
             raise InputError(faults)
-        return build_simulation(loaded.scene, meshes)
+        simulation = build_simulation(loaded.scene, meshes)
+    # These meshes are done before a second thread has woken up; tests of threads run as processes.
+    set_threads(1)
+    return simulation
 
 
 def step(simulation: Simulation, dt: float | None = None) -> StepResult:

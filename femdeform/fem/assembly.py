@@ -110,7 +110,7 @@ class BlockPattern:
         order = np.argsort(key, kind="stable")
         entries = np.concatenate([*slots, np.full(n_nodes, -1, dtype=np.int64)])[order]
         key = key[order]
-        start = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
+        start = np.flatnonzero(np.diff(key, prepend=-1))
         unique = key[start]
         self.rows: IntArray = unique // n_nodes
         self.columns = (unique % n_nodes).astype(np.int32)

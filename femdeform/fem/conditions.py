@@ -142,6 +142,7 @@ class Conditions:
         self._end = scene.time.end
         self.notices: list[str] = []
         self.motions: list[PrescribedMotion] = []
+        self._moved: list[IntArray] = []  # nodes of the whole problem of each motion: every rank says the same
         self.pressures: list[FacetPressure] = []
         self._loads: list[tuple[Curve, FloatArray]] = []
         self.gravity = np.zeros(discretization.dim) if scene.gravity is None else np.array(scene.gravity)
@@ -210,14 +211,15 @@ class Conditions:
         if isinstance(condition, schema.Rotate):
             center = self._centroid(chosen) if condition.center is None else np.array(condition.center)
         nodes = self._discretization.to_local(chosen)
-        for earlier in self.motions:
-            shared = np.intersect1d(earlier.nodes, nodes)
+        for earlier, taken in zip(self.motions, self._moved, strict=True):
+            shared = np.intersect1d(taken, chosen)
             both_fixed = isinstance(earlier.condition, schema.Fixed) and isinstance(condition, schema.Fixed)
             if shared.size and not both_fixed and (earlier.components & components).any():
                 self.notices.append(
                     f"conditions[{number}] ({condition.kind}) takes over {shared.size} nodes that an earlier "
                     f"{earlier.condition.kind} condition also moves"
                 )
+        self._moved.append(chosen)
         self.motions.append(PrescribedMotion(nodes, components, self._discretization.points[nodes], condition, center))
 
     def _scatter(self, nodes: IntArray, forces: FloatArray) -> FloatArray:

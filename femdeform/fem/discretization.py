@@ -351,5 +351,7 @@ def _assemble_mass(
             columns.append(held)
             values.append(lumped[held])
     n = partition.n_local
+    if not values:  # a rank without a cell
+        return scipy.sparse.csr_matrix((n, n))
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     return scipy.sparse.csr_matrix(entries, shape=(n, n))

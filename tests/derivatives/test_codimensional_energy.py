@@ -6,7 +6,6 @@ compiled ones with them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -36,7 +35,7 @@ ALL_LAWS = pytest.mark.parametrize("name", CODIMENSIONAL)
 
 
 @pytest.fixture
-def uncompiled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let `ElasticEnergy` run the loops of membranes and rods, and their tangent, in Python."""
     loops = SimpleNamespace(
         **{name: getattr(codimensional, name).py_func for name in ("cell_energies", "cell_forces", "cell_hessians")}
@@ -44,7 +43,6 @@ def uncompiled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(energies, "codimensional", loops)
     for name in ("_tangent", "_add_mode"):
         monkeypatch.setattr(codimensional, name, getattr(codimensional, name).py_func)
-    yield
 
 
 def law_of(name: str) -> Any:

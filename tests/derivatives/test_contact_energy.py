@@ -171,4 +171,4 @@ def test_a_node_outside_has_no_friction() -> None:
     term = contact(Plane(np.zeros(2), np.array([0.0, 1.0])), 1, 2, friction=0.5)
     x = np.array([[0.0, 0.2]])
     term.begin_step(x, time=0.0, dt=0.1)
-    assert np.all(gradient(term, x + [[0.5, 0.0]]) == 0.0)
+    assert np.all(gradient(term, x + np.array([0.5, 0.0])) == 0.0)

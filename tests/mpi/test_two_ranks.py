@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import time
 from collections.abc import Callable
@@ -62,13 +61,11 @@ def loaded_scene() -> dict[str, Any]:
 
 
 def thin_scene() -> dict[str, Any]:
-    """A membrane over a ball, a rod beside it, P2 triangles have no place in 3D; GAMG on two ranks."""
+    """A membrane over a ball, a rod beside it; GAMG on two ranks."""
     return scene(
         {
-            "c": body(
-                {"recipe": "cloth", "size": [1.0, 1.0], "cells": [6, 6]}, material(E=1e6), kind="membrane", thickness=0.01
-            ),
-            "r": body({"recipe": "rod", "start": [0, 1, 0], "end": [1, 1, 0], "cells": 8}, kind="rod", cross_section=1e-3),
+            "c": body({"recipe": "cloth", "cells": [6, 6]}, material(E=1e6), kind="membrane", thickness=0.01),
+            "r": body({"recipe": "rod", "cells": 8, "translate": [0, 1, 0]}, kind="rod", cross_section=1e-3),
         },
         {"kind": "fixed", "on": "r.start"},
         {"kind": "fixed", "on": "c.left"},
@@ -197,6 +194,7 @@ def test_an_existing_result_is_not_touched(tmp_path: Path, two_ranks: Ranks) -> 
 
 BROKEN = """\
 import sys
+import time
 from pathlib import Path
 from femdeform.parallel import launched_rank
 from femdeform.fem.incremental_potential import IncrementalPotential
@@ -210,6 +208,7 @@ def failing(self, x):
     global calls
     calls += 1
     if calls > 5 and launched_rank() == RANK:
+        Path("when").write_text(str(time.time()))
         raise ERROR("the memory of this rank is gone")
     return gradient(self, x)
 
@@ -223,15 +222,14 @@ sys.exit(run_scene(Path("s.yaml"), out=Path("out")))
 def test_an_error_on_one_rank_ends_all(rank: int, error: str, code: int, tmp_path: Path, two_ranks: Ranks) -> None:
     write(contact_scene(), tmp_path / "s.yaml")
     (tmp_path / "broken.py").write_text(BROKEN.replace("RANK", str(rank)).replace("ERROR", error))
-    begin = time.monotonic()
-    done = two_ranks("broken.py", timeout=60.0)
-    assert time.monotonic() - begin < 40.0
+    done = two_ranks("broken.py")
+    assert time.time() - float((tmp_path / "when").read_text()) < 15.0
     assert done.returncode == code
-    assert done.stderr.count("the memory of this rank is gone") == 1
     if error == "RuntimeError":
+        assert done.stderr.count("RuntimeError: the memory of this rank is gone") == 1
         assert "Traceback" in done.stderr
     else:
-        assert f"femdeform: rank {rank}: " in done.stderr
+        assert done.stderr.count(f"femdeform: rank {rank}: the memory of this rank is gone") == 1
         assert "Traceback" not in done.stderr
 
 
@@ -305,7 +303,7 @@ def test_kill_and_resume(tmp_path: Path, two_ranks: Ranks) -> None:
 
 
 def test_sigterm_to_all_ranks(tmp_path: Path, two_ranks: Ranks) -> None:
-    """The launcher hands SIGTERM on: the run ends, and its last checkpoint is one to go on from."""
+    """Both ranks get the signal, as from the launcher: the run ends with a checkpoint to go on from."""
     data = contact_scene()
     data["output"] = {"checkpoint_every": 2}
     write(data, tmp_path / "s.yaml")
@@ -314,7 +312,6 @@ def test_sigterm_to_all_ranks(tmp_path: Path, two_ranks: Ranks) -> None:
     done = two_ranks("stopped.py", timeout=60.0)
     assert done.returncode == 130
     assert done.stderr.count("go on with --resume from step 4") == 1
-    assert signal.SIGTERM  # both ranks sent it to themselves, as the launcher would
     assert read_checkpoint(tmp_path / "broken").step == 4
     resumed = two_ranks(*RUN, "s.yaml", "--out", "broken", "--resume")
     assert resumed.returncode == 0, resumed.stderr

@@ -45,9 +45,7 @@ def skipped(reason: str) -> Outcome:
     return Outcome("skipped", {}, reason)
 
 
-def run_module(
-    module: str, case: Mapping[str, Any], threads: int | None = None, launcher: Sequence[str] = ()
-) -> Outcome:
+def run_module(module: str, case: Mapping[str, Any], threads: int, launcher: Sequence[str] = ()) -> Outcome:
     """Run ``python -m module CASE RESULT``, which reads a JSON file and writes another.
 
     Parameters
@@ -56,17 +54,14 @@ def run_module(
         Module to run.
     case : mapping
         What to measure.
-    threads : int, optional
-        Threads of the kernels and of the BLAS; default: femdeform's own.
+    threads : int
+        Threads of the kernels and of the BLAS.
     launcher : sequence of str
         Words before the command, such as ``mpiexec -n 2``.
     """
-    environment = dict(os.environ)
     # What this process exported for its own kernels is not meant for the child's.
-    for name in ("NUMBA_NUM_THREADS", "FEMDEFORM_EXPORTED_THREADS"):
-        environment.pop(name, None)
-    if threads is not None:
-        environment |= {"FEMDEFORM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_NUM_THREADS"}
+    environment |= {"FEMDEFORM_THREADS": str(threads), "OPENBLAS_NUM_THREADS": str(threads)}
     if launcher:
         # Open MPI asks for this consent where the user is root, as in containers.
         environment |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}

@@ -37,11 +37,9 @@ class Table:
     def to_markdown(self) -> str:
         """Return the table in Markdown, with the long form of its cells."""
         lines = [f"### {self.title}", ""]
-        lines.append("| " + " | ".join(self.columns) + " |")
+        lines.append(_markdown_row(self.columns))
         lines.append("|" + "|".join(["---"] + ["---:"] * (len(self.columns) - 1)) + "|")
-        for row in self.rows:
-            texts = [entry.long if isinstance(entry, Cell) else entry for entry in row]
-            lines.append("| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |")
+        lines += [_markdown_row(row) for row in self.rows]
         for note in self.notes:
             lines += ["", note]
         return "\n".join(lines) + "\n"
@@ -59,6 +57,11 @@ class Table:
         for row in self.rows:
             table.add_row(*(escape(entry.short if isinstance(entry, Cell) else entry) for entry in row))
         return table
+
+
+def _markdown_row(entries: Sequence[str | Cell]) -> str:
+    texts = [entry.long if isinstance(entry, Cell) else entry for entry in entries]
+    return "| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |"
 
 
 def seconds(value: dict[str, float] | float | None) -> str | Cell:

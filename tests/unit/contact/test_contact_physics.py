@@ -204,8 +204,8 @@ def test_a_box_obstacle_holds_from_above_and_beside() -> None:
     simulation = slab(obstacles=[table])
     advance(simulation, 100)
     assert np.abs(simulation.state.v).max() < 1e-2
-    x = simulation.state.x
-    under = (simulation.discretization.points[:, 1] == 0.0) & (np.abs(simulation.discretization.points[:, 0] - 0.2) < 0.11)
+    x, X = simulation.state.x, simulation.discretization.points
+    under = (X[:, 1] == 0.0) & (np.abs(X[:, 0] - 0.2) < 0.11)
     assert np.all(np.abs(x[under, 1]) < 2e-3)
     # A box from the side: the wall stops what flies against it.
     wall = {"kind": "box", "min": [0.6, -1.0], "max": [0.7, 1.0], "stiffness": 1e8}
