@@ -8,13 +8,14 @@ import sys
 import time
 import traceback
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from femdeform import parallel
-from femdeform.errors import FemdeformError, InputError
+from femdeform.errors import FemdeformError, InputError, OutputError
 from femdeform.fem.incremental_potential import State
 from femdeform.jit import CompilationAnnouncer, set_threads
 from femdeform.run.checkpoint import START_ANEW, Checkpoint, is_unsaved, read_checkpoint, write_checkpoint
@@ -218,6 +219,9 @@ class _Run:
                 )
         except KeyboardInterrupt:
             return self._interrupted()
+        except Exception as error:
+            self._record_failure(error)
+            raise
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
@@ -348,6 +352,13 @@ class _Run:
             self.recorder.close()
             print(f"interrupted; go on with --resume from step {self.last_saved}", file=sys.stderr)
         return _INTERRUPTED
+
+    def _record_failure(self, error: Exception) -> None:
+        """Let the result say that the run is over; on several ranks the others may be waiting elsewhere."""
+        if self.comm is None:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            with suppress(OutputError):
+                self._record_end(self.state, "failed", reason, [])
 
     def _record_end(self, state: State, status: str, reason: str, verdicts: list[dict[str, Any]]) -> None:
         points = self.frames.point_data(state)

@@ -101,6 +101,20 @@ def test_halving_gets_over_a_hard_step(tmp_path: Path) -> None:
     np.testing.assert_allclose(final.positions[right], final.points[right] * [1, -1, -1] + [0, 0.4, 0.4], atol=1e-12)
 
 
+@pytest.mark.petsc
+def test_an_error_on_the_way_is_recorded(tmp_path: Path) -> None:
+    """PETSc tells after the first solve which options it knows; the result must not say that the run goes on."""
+    options = {"method": "ksp", "options": {"ksp_rtoll": 1e-3}}
+    path = write({**expecting(), "linear_solver": options}, tmp_path / "s.yaml")
+    with pytest.raises(InputError, match=r"linear_solver\.options\.ksp_rtoll"):
+        run_scene(path, out=tmp_path / "out")
+    result = facts(tmp_path / "out")
+    assert result["status"] == "failed"
+    assert "PETSc did not use this option" in result["reason"]
+    assert result["steps"] == 0
+    assert (tmp_path / "out" / "final.vtu").exists()
+
+
 # ------------------------------------------------------------------------------------------- expectations
 
 

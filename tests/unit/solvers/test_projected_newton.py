@@ -235,6 +235,22 @@ def test_nothing_to_do() -> None:
     assert result.relative_residual == 0.0
 
 
+@pytest.mark.parametrize("static", [False, True])
+@pytest.mark.parametrize("far", [0.0, 1e4])
+def test_a_body_at_rest_stays_at_rest(static: bool, far: float) -> None:
+    """Turned and far away, its forces are rounding and nothing else; that must not pass for a failure."""
+    mesh = block([1, 1, 1], [2, 2, 2], rotate={"axis": [1, 2, 3], "angle": 0.7}, translate=[far, far, 0.0])
+    data = scene(
+        {"b": body(mesh)},
+        *([{"kind": "fixed", "on": "b.left"}] if static else []),
+        **({"time": quasistatic(dt=0.1)} if static else {}),
+    )
+    simulation = build(data)
+    for _ in range(5):
+        assert step(simulation).iterations <= 2
+    np.testing.assert_allclose(simulation.state.x, simulation.discretization.points, atol=1e-14 * max(far, 1.0))
+
+
 def test_rounding_ends_the_iteration() -> None:
     result, rows = solve(bent_bar(tolerance=1e-30, max_iterations=40))
     assert result.converged
