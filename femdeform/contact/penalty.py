@@ -102,7 +102,8 @@ class PenaltyContact:
         dim = self.velocity.size
         where = x[self.nodes] - self._shift
         distance, normal = self.shape.distance(where)
-        touching = distance < 0.0
+        # A node that just touches counts: a body placed on the floor is held by it from the first iteration on.
+        touching = distance <= 0.0
         outer = normal[:, :, None] * normal[:, None, :]
         # The distance's own curvature acts with a force that pushes back, d < 0: stiff in bowls and in the corners of
         # containers, soft around a ball.

@@ -43,7 +43,7 @@ def cell_field(name: str, term: ElasticEnergy, x: FloatArray) -> FloatArray:
     Returns
     -------
     (n_cells,) or (n_cells, 9) float64
-        Volume averages over each cell; tensors row-major, padded to 3x3 in 2D; stresses [Pa], NaN for membranes and
+        Volume averages over each cell; tensors row-major, 3x3 also in 2D; stresses [Pa], NaN for membranes and
         rods, whose stress across is a reaction to the frozen thickness.
     """
     group = term.group
@@ -56,32 +56,34 @@ def cell_field(name: str, term: ElasticEnergy, x: FloatArray) -> FloatArray:
         return np.full(group.n_cells if name == "von_mises" else (group.n_cells, 9), np.nan)
     stress = _average_stress(group, x, spatial=name != "pk1")
     if name == "von_mises":
-        return _von_mises(stress, group)
-    padded = np.zeros((group.n_cells, 3, 3))
-    padded[:, : stress.shape[1], : stress.shape[2]] = stress
-    return padded.reshape(-1, 9)
+        return _von_mises(stress)
+    return stress.reshape(-1, 9)
 
 
 def _average_stress(group: ElementGroup, x: FloatArray, spatial: bool) -> FloatArray:
+    """Cauchy stress, or PK1, averaged over each cell, (n_cells, 3, 3).
+
+    In plane strain the stress across the plane is that of the three-dimensional law at diag(F, 1).
+    """
     from femdeform.materials import batch
 
     F = deformation_gradients(group, x)
     d = F.shape[-1]
     P = np.asarray(batch.pk1(np.ascontiguousarray(F.reshape(-1, d, d)), group.law)).reshape(F.shape)
+    if d == 2:
+        spread = np.zeros((*F.shape[:2], 3, 3))
+        spread[..., :2, :2], spread[..., 2, 2] = F, 1.0
+        law = type(group.law).from_lame(group.law.mu, group.law.lmbda, 3)
+        full = np.asarray(batch.pk1(spread.reshape(-1, 3, 3), law)).reshape(spread.shape)
+        full[..., :2, :2] = P
+        F, P = spread, full
     if spatial:
         P = P @ np.swapaxes(F, -1, -2) / np.linalg.det(F)[..., None, None]
     return np.asarray(np.einsum("eq,eqij->eij", group.weights, P) / group.weights.sum(axis=1)[:, None, None])
 
 
-def _von_mises(stress: FloatArray, group: ElementGroup) -> FloatArray:
-    """Von Mises stress; in plane strain with the out-of-plane stress nu (s_xx + s_yy) of small strain."""
-    d = stress.shape[1]
-    full = np.zeros((len(stress), 3, 3))
-    full[:, :d, :d] = stress
-    if d == 2:
-        mu, lmbda = group.law.mu, group.law.lmbda
-        full[:, 2, 2] = lmbda / (2.0 * (lmbda + mu)) * (stress[:, 0, 0] + stress[:, 1, 1])
-    deviator = full - np.trace(full, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
+def _von_mises(stress: FloatArray) -> FloatArray:
+    deviator = stress - np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3.0 * np.eye(3)
     return np.asarray(np.sqrt(1.5 * np.einsum("eij,eij->e", deviator, deviator)))
 
 

@@ -64,6 +64,13 @@ def _body_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) ->
             cells = {"line": "lines", "triangle": "triangles", "tetra": "tetrahedra"}[mesh.cell_type]
             message = f"a {body.kind} cannot be made of {cells} in {mesh.dim}D; they make a {fitting}"
             yield Finding((*path, "kind"), message)
+        if body.kind != "solid":
+            message = "the linear law turns with the body in solids only; choose another law"
+            if isinstance(body.material, schema.LinearMaterial):
+                yield Finding((*path, "material", "law"), message)
+            for region, material in body.regions.items():
+                if isinstance(material, schema.LinearMaterial):
+                    yield Finding((*path, "regions", region, "law"), message)
         yield from _region_findings(body, mesh, (*path, "regions"))
 
 

@@ -449,7 +449,7 @@ class ProjectedNewtonSolver(SceneModel):
     method: Literal["projected_newton"] = Field(
         default="projected_newton", description="Newton with positive semi-definite element Hessians"
     )
-    tolerance: Positive = Field(default=1e-8, description="residual over the forces of the problem [-]")
+    tolerance: float = Field(default=1e-8, gt=0.0, lt=1.0, description="residual over the forces of the problem [-]")
     max_iterations: int = Field(default=100, ge=1, description="Newton iterations a step")
     hessian: Literal["adaptive", "projected", "exact"] = Field(
         default="adaptive",

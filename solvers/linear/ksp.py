@@ -70,6 +70,12 @@ def _petsc() -> Any:
     return PETSc
 
 
+def _cause(error: Exception) -> str:
+    """Last line of PETSc's error, which names the cause; the lines before it are its call stack."""
+    lines = [line.split("] ", 1)[-1].strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1] if lines else type(error).__name__
+
+
 class KSP:
     """A PETSc Krylov solver (or a direct one, as ``preonly``) that keeps its matrix between solves.
 
@@ -149,13 +155,20 @@ class KSP:
 
     def solve(self, K: SparseHessian, b: FloatArray) -> LinearResult:
         """Solve K x = b; see `LinearSolver`."""
-        if self._solver is None:
-            self._set_up(K)
         partition, dim = K.partition, K.dim
-        coo.set_values(self._matrix, K.values)
-        self._b.setArray(b[: partition.n_owned].ravel())
-        self._x.set(0.0)
-        self._solver.solve(self._b, self._x)
+        try:
+            if self._solver is None:
+                self._set_up(K)
+            coo.set_values(self._matrix, K.values)
+            self._b.setArray(b[: partition.n_owned].ravel())
+            self._x.set(0.0)
+            self._solver.solve(self._b, self._x)
+        except self._PETSc.Error as error:
+            if self._checked:
+                return LinearResult(np.zeros_like(b), 0, False, f"PETSc: {_cause(error)}")
+            # The first solve is where PETSc reads its options.
+            message = f"PETSc refuses preset {self.preset.name} with these options: {_cause(error)}"
+            raise InputError([Fault("", 0, "linear_solver", message)]) from None
         if not self._checked:
             self._check_options()
         code = int(self._solver.getConvergedReason())

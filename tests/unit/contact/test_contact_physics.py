@@ -218,3 +218,21 @@ def test_default_stiffness_is_ten_moduli_over_an_element() -> None:
     simulation = slab(obstacles=[{"kind": "plane", "point": [0, 0], "normal": [0, 1]}])
     (contact,) = simulation.problem.contacts
     assert contact.stiffness.sum() == pytest.approx(10.0 * 1e6 / 0.1 * 1.0, rel=1e-12)
+
+
+def test_a_body_that_just_touches_the_floor_is_held_by_it() -> None:
+    simulation = build(
+        scene(
+            {"b": body(block([0.4, 0.1], [4, 1]), STIFF)},
+            {"kind": "fixed", "on": "b.left", "components": ["x"]},
+            obstacles=[ground()],
+            gravity=[0.0, -G],
+            time=quasistatic(),
+        )
+    )
+    result = step(simulation)
+    assert result.converged
+    weight = RHO * G * 0.4 * 0.1
+    floor = simulation.problem.contacts[0]
+    depth = -simulation.state.x[floor.nodes, 1]
+    assert float(np.sum(floor.stiffness * np.maximum(depth, 0.0))) == pytest.approx(weight, rel=1e-6)

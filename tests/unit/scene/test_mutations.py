@@ -36,7 +36,7 @@ bodies:
     kind: rod
     cross_section: 1.0e-4
     mesh: {recipe: rod, start: [0, 0, 0], end: [1, 0, 0], cells: 3}
-    material: {law: linear, density: 900, youngs_modulus: 1.0e5, poisson_ratio: 0}
+    material: {law: corotated, density: 900, youngs_modulus: 1.0e5, poisson_ratio: 0}
 conditions:
   - {kind: fixed, on: beam.left, components: [x, y]}
   - {kind: rotate, on: beam.right, axis: [1, 0, 0], rate: 0.5, start: 0.1, stop: 0.4}

@@ -166,3 +166,11 @@ def test_scipy_reports_what_it_cannot_solve() -> None:
     assert "singular" in singular.reason.lower()
     K.values[0] = np.nan
     assert not solver.solve(K, b).converged
+
+
+@pytest.mark.petsc
+@pytest.mark.parametrize(("key", "value"), [("pc_type", "foo"), ("mat_mumps_icntl_14", "abc")])
+def test_an_option_value_that_petsc_refuses_is_bad_input(key: str, value: str) -> None:
+    solver, K, b = system({"method": "ksp", "preset": "newton-mumps", "options": {key: value}})
+    with pytest.raises(InputError, match=value):
+        solver.solve(K, b)
