@@ -25,7 +25,7 @@ from femdeform.run.progress import Progress
 from femdeform.run.recorder import Recorder
 from femdeform.run.setup import Simulation, build_simulation
 from femdeform.run.time_loop import LoopOutcome, StepControl, default_min_dt, run_time_loop
-from femdeform.scene.checks import check_scene
+from femdeform.scene.checks import check_file, check_scene
 from femdeform.scene.load import LoadedScene, load_scene
 from femdeform.scene.meshing import load_meshes
 from femdeform.step_problem import IterationObserver, StepResult
@@ -130,7 +130,11 @@ def _read_together(
 
 
 def _read(path: Path, out: Path | None, overrides: Sequence[str], resume: bool, ranks: int) -> _Given:
-    loaded = load_scene(path, overrides)
+    try:
+        loaded = load_scene(path, overrides)
+    except InputError as error:
+        # With what a check finds in the sound part, so that the user hears of everything at once.
+        raise InputError(check_file(path, overrides) or error.faults) from None
     if ranks > 1 and loaded.scene.linear_solver.method == "scipy_direct":
         key = ("linear_solver", "method")
         raise InputError([loaded.fault(key, f"scipy_direct is serial; use ksp on {ranks} ranks")])

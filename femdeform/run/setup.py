@@ -126,8 +126,8 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
         words = [material.law for material in [body.material, *body.regions.values()] if material is not None]
         if meshes[name].dim == 2 and "stable_neo_hookean" in words:
             notices.append(
-                f"bodies.{name}: stable_neo_hookean in 2D is the two-dimensional law of its authors; it agrees with the "
-                "3D law in plane strain at small strain only (docs/methods/materials.md)"
+                f"bodies.{name}: stable_neo_hookean in 2D is a two-dimensional law; it agrees with the 3D law in plane "
+                "strain at small strain only (docs/methods/materials.md)"
             )
     bodies = {name: body_input(name, body, meshes[name]) for name, body in scene.bodies.items()}
     ranks = 1 if comm is None else comm.Get_size()

@@ -15,6 +15,7 @@ from femdeform.scene import schema
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
+from femdeform.scene.partial import sound_part
 from femdeform.scene.selections import select_facets, select_nodes
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
@@ -323,6 +324,12 @@ def check_file(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
     try:
         loaded = load_scene(path, overrides)
     except InputError as error:
-        return list(error.faults)
+        faults = list(error.faults)
+        rest = sound_part(path, overrides)
+        if rest is None:
+            return faults
+        loaded = rest
+    else:
+        faults = []
     survey = survey_meshes(loaded)
-    return sort_faults([*survey.faults, *check_scene(loaded, survey.meshes, survey.coarse)])
+    return sort_faults([*faults, *survey.faults, *check_scene(loaded, survey.meshes, survey.coarse)])

@@ -153,7 +153,10 @@ def test_check_with_overrides(scene: Path, capsys: pytest.CaptureFixture[str]) -
     assert cli.main(["check", str(scene), "--set", "time.dt=0.5", "--set", "conditions[0].on=beam.right"]) == 0
     capsys.readouterr()
     assert cli.main(["check", str(scene), "--set", "time.dt=-1", "--set", "conditions[0].on=beam.lift"]) == 2
-    assert capsys.readouterr().err == "--set time.dt=-1: time.dt: must be greater than 0 [s], not -1\n"
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("--set conditions[0].on=beam.lift: conditions[0].on: body `beam` has no group `lift`")
+    assert lines[1] == "--set time.dt=-1: time.dt: must be greater than 0 [s], not -1"
 
 
 def test_the_file_is_named_as_it_was_given(bad_scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
