@@ -12,7 +12,7 @@ import numpy as np
 
 from femdeform.fem import codimensional, kernels
 from femdeform.fem.conditions import FacetPressure
-from femdeform.fem.discretization import ElementGroup
+from femdeform.fem.discretization import EDGES, ElementGroup
 from femdeform.types import FloatArray
 
 
@@ -93,7 +93,7 @@ def _facet_shapes(n_corners: int, n_nodes: int) -> tuple[FloatArray, FloatArray,
     slope = np.concatenate([-np.ones((1, n_corners - 1)), np.eye(n_corners - 1)])
     if n_nodes == n_corners:
         return corner, np.broadcast_to(slope, (len(points), *slope.shape)), weights
-    pairs = [(0, 1)] if n_corners == 2 else [(0, 1), (1, 2), (0, 2)]
+    pairs = [(0, 1)] if n_corners == 2 else EDGES["triangle"]
     values = [corner * (2.0 * corner - 1.0)]
     slopes = [(4.0 * corner - 1.0)[..., None] * slope]
     for a, b in pairs:

@@ -12,6 +12,7 @@ import numpy as np
 
 from femdeform.errors import Fault, InputError, MissingDependencyError
 from femdeform.fem.assembly import SparseHessian
+from femdeform.registry import preset_names
 from femdeform.types import FloatArray
 from solvers.linear import coo
 from solvers.linear.interface import LinearResult
@@ -35,12 +36,6 @@ class Preset:
     name: str
     options: dict[str, Any]
     near_nullspace: bool = False
-
-
-def preset_names() -> list[str]:
-    """Names of the presets that are shipped, sorted."""
-    folder = resources.files("solvers.presets")
-    return sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if f.name.endswith(".yaml"))
 
 
 def load_preset(name: str) -> Preset:
@@ -85,7 +80,7 @@ class KSP:
     Parameters
     ----------
     preset : str
-        Name of a preset, see `preset_names`.
+        Name of a preset, see `femdeform.registry.preset_names`.
     options : mapping
         PETSc options over the preset's, without prefix and dash.
 
