@@ -12,6 +12,7 @@ project: whoever edits one of them starts a new folder.
 from __future__ import annotations
 
 import os
+import re
 import stat
 import sys
 import threading
@@ -43,7 +44,10 @@ _RANK_COUNT_VARIABLES = (
     "PMI_SIZE",
 )
 _OUR_THREADS = "FEMDEFORM_EXPORTED_THREADS"
+_OWN_NAME = Path(__file__).name
 _UNUSED_CACHE_SECONDS = 30 * 86400.0
+# Names that talk to numba from outside: a module that imports nothing else has no part in compiled code.
+_FROM_OUTSIDE = frozenset({"CompilationAnnouncer", "set_threads"})
 
 
 # ---------------------------------------------------------------------------------------- decorators
@@ -158,8 +162,9 @@ def _numba() -> Any:
 def kernel_key() -> str:
     """Return a hash of the contents of every kernel module of the project.
 
-    A kernel module is one that mentions ``femdeform.jit``; a module that only holds constants for kernels has
-    to import it as well, otherwise a change of such a constant goes unnoticed.
+    A kernel module is one that imports from ``femdeform.jit`` what ends up in compiled code (anything but
+    `_FROM_OUTSIDE`); a module that only holds constants for kernels has to do so as well, otherwise a change of
+    such a constant goes unnoticed.
     """
     import hashlib
 
@@ -171,9 +176,15 @@ def kernel_key() -> str:
             for name in sorted(files):
                 if name.endswith(".py"):
                     source = Path(folder, name).read_bytes()
-                    if b"femdeform.jit" in source:
+                    if name == _OWN_NAME or _is_kernel_module(source):
                         digest.update(name.encode() + b"\0" + source)
     return digest.hexdigest()
+
+
+def _is_kernel_module(source: bytes) -> bool:
+    imported = re.findall(rb"^\s*from femdeform\.jit import ([\w, ]+)", source, re.MULTILINE)
+    names = {name.strip().decode() for line in imported for name in line.split(b",")}
+    return bool(names - _FROM_OUTSIDE)
 
 
 def _cache_folder() -> Path:

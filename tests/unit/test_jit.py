@@ -91,10 +91,10 @@ def test_key_follows_kernel_modules_only(tmp_path: Path, monkeypatch: pytest.Mon
         (tmp_path / package).mkdir()
     kernels, other = tmp_path / "solvers" / "kernels.py", tmp_path / "femdeform" / "cli.py"
     kernels.write_text("from femdeform.jit import njit\nSTEP = 1.0\n")
-    other.write_text("STEP = 1.0\n")
+    other.write_text("from femdeform.jit import set_threads\nSTEP = 1.0\n")
     monkeypatch.setattr(jit, "__file__", str(tmp_path / "femdeform" / "jit.py"))
     key = jit.kernel_key()
-    other.write_text("STEP = 2.0\n")
+    other.write_text("from femdeform.jit import set_threads\nSTEP = 2.0\n")
     assert jit.kernel_key() == key
     kernels.write_text("from femdeform.jit import njit\nSTEP = 2.0\n")
     assert jit.kernel_key() != key
