@@ -5,15 +5,86 @@ A nonlinear solver sees a `StepProblem` and nothing else; a time loop sees the s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from femdeform.parallel import Partition
 from femdeform.types import BoolArray, FloatArray
 
-# Called with one row per nonlinear iteration: iteration, residual_norm, relative_residual, objective, ...
-IterationObserver = Callable[[Mapping[str, float | int | str]], None]
+# Called after every nonlinear iteration with its row (iteration, residual_norm, relative_residual, objective, ...) and
+# the positions it arrived at, (n_local, dim) [m], which it may read but not change.
+IterationObserver = Callable[[Mapping[str, float | int | str], FloatArray], None]
+
+
+class Budget:
+    """What a solver may spend on one step; it looks after every iteration whether something is left.
+
+    An iteration that has begun is finished, so a step may take longer than its seconds by less than one iteration.
+    Seconds are for serial runs: the clocks of several ranks would not agree on the last iteration.
+
+    Parameters
+    ----------
+    iterations : int, optional
+        Most nonlinear iterations.
+    seconds : float, optional
+        Time after which no further iteration begins [s].
+    clock : callable
+        Gives a time that only grows [s].
+
+    Raises
+    ------
+    ValueError
+        If a limit is not positive.
+    """
+
+    def __init__(
+        self,
+        iterations: int | None = None,
+        seconds: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        if (iterations is not None and iterations < 1) or (seconds is not None and not seconds > 0.0):
+            raise ValueError("a budget has to be positive")
+        self.iterations = iterations
+        self.seconds = seconds
+        self._clock = clock
+        self._begin = clock()
+        self._lost = 0.0  # time inside `paused` since the start
+        self._paused_at: float | None = None
+
+    def start(self) -> None:
+        """Begin to count, again from zero; whoever calls the solver does it right before."""
+        self._begin, self._lost = self._clock(), 0.0
+
+    def elapsed(self) -> float:
+        """Time since the start, without what was paused [s]."""
+        now = self._clock() if self._paused_at is None else self._paused_at
+        return now - self._begin - self._lost
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Stop the clock: what is measured about a solver is not its time. May be nested."""
+        if self._paused_at is not None:
+            yield
+            return
+        self._paused_at = self._clock()
+        try:
+            yield
+        finally:
+            self._lost += self._clock() - self._paused_at
+            self._paused_at = None
+
+    def spent(self, iteration: int) -> str | None:
+        """Why no further iteration may begin after this many, in words; None if one may."""
+        if self.iterations is not None and iteration >= self.iterations:
+            count = "1 iteration" if self.iterations == 1 else f"{self.iterations} iterations"
+            return f"the budget of {count} is spent"
+        if self.seconds is not None and self.elapsed() >= self.seconds:
+            return f"the budget of {self.seconds:g} s is spent"
+        return None
 
 
 class StepProblem(Protocol):
@@ -65,7 +136,7 @@ class StepResult:
     Attributes
     ----------
     x : (n_local, dim) float64
-        Last positions [m]; to be used only if `converged`.
+        Last positions [m]; a time loop uses them only if `converged`.
     converged : bool
         Whether the residual is below its tolerance.
     reason : str
@@ -90,5 +161,26 @@ class StepResult:
 class StepSolver(Protocol):
     """A nonlinear solver."""
 
-    def step(self, problem: Any, state: Any, observe: IterationObserver | None = None) -> StepResult:
-        """Solve one step from an accepted state."""
+    def step(
+        self, problem: Any, state: Any, observe: IterationObserver | None = None, budget: Budget | None = None
+    ) -> StepResult:
+        """Solve one step from an accepted state.
+
+        Parameters
+        ----------
+        problem : StepProblem
+            With the step begun.
+        state : State
+            Last accepted state; not changed.
+        observe : callable, optional
+            Called after every iteration, the first one included. `seconds` of its row is the time since the start of
+            the step, by the budget's clock if there is a budget.
+        budget : Budget, optional
+            Started by the caller. Once it is spent the step ends: not converged, with the budget's reason and the
+            last iterate.
+
+        Returns
+        -------
+        StepResult
+            Nothing is raised if the step does not converge.
+        """

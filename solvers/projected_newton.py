@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from femdeform.scene.schema import ProjectedNewtonSolver
-from femdeform.step_problem import IterationObserver, StepProblem, StepResult
+from femdeform.step_problem import Budget, IterationObserver, StepProblem, StepResult
 from femdeform.types import FloatArray
 from solvers.linear.interface import LinearSolver
 
@@ -30,6 +29,17 @@ class _Iterate:
     x: FloatArray
     residual: FloatArray
     norm: float
+
+
+@dataclass(frozen=True)
+class _First:
+    """Where the iteration starts, and what the way there took: one iteration if the supports move, else none."""
+
+    x: FloatArray
+    objective: float  # before the motion was spread
+    length: float
+    iterations: int
+    linear_iterations: int
 
 
 @dataclass(frozen=True)
@@ -75,7 +85,13 @@ class ProjectedNewton:
         self.options = options
         self.linear_solver = linear_solver
 
-    def step(self, problem: StepProblem, state: Any, observe: IterationObserver | None = None) -> StepResult:
+    def step(
+        self,
+        problem: StepProblem,
+        state: Any,
+        observe: IterationObserver | None = None,
+        budget: Budget | None = None,
+    ) -> StepResult:
         """Minimise Phi from an accepted state.
 
         Parameters
@@ -86,18 +102,20 @@ class ProjectedNewton:
             Last accepted state; not changed.
         observe : callable, optional
             Called after every iteration.
+        budget : Budget, optional
+            What the step may take; without one, `max_iterations` alone ends it.
 
         Returns
         -------
         StepResult
             `converged` is False, with the reason, if the tolerance was not reached; nothing is raised for that.
         """
-        start = time.perf_counter()
-        x, linear_iterations, guess_iterations = self._first_iterate(problem, state)
-        current = self._evaluate(problem, x)
-        problem.settle_force_scale(x)
+        budget = Budget() if budget is None else budget
+        first = self._first_iterate(problem, state)
+        current = self._evaluate(problem, first.x)
+        problem.settle_force_scale(first.x)
         previous_norm, previous_length = math.inf, 0.0
-        iteration = guess_iterations
+        iteration, linear_iterations = first.iterations, first.linear_iterations
 
         def result(converged: bool, reason: str) -> StepResult:
             relative = _ratio(current.norm, problem.force_scale)
@@ -105,6 +123,23 @@ class ProjectedNewton:
                 current.x, converged, reason, iteration, linear_iterations, current.norm, relative
             )
 
+        def report(objective: float, length: float, linear: int, projected: bool) -> None:
+            if observe is None:
+                return
+            row = {
+                "iteration": iteration,
+                "residual_norm": current.norm,
+                "relative_residual": _ratio(current.norm, problem.force_scale),
+                "objective": objective,
+                "step_length": length,
+                "linear_iterations": linear,
+                "projected": int(projected),
+                "seconds": budget.elapsed(),
+            }
+            observe(row, current.x)
+
+        if first.iterations:
+            report(first.objective, first.length, first.linear_iterations, True)
         while True:
             if not math.isfinite(current.norm):
                 return result(False, "the residual is not finite")
@@ -113,6 +148,9 @@ class ProjectedNewton:
             # The level of rounding is an estimate: it ends a step only once the residual falls no further.
             if current.norm > 0.25 * previous_norm and current.norm <= problem.roundoff_norm(current.x):
                 return result(True, "residual at the level of rounding")
+            spent = budget.spent(iteration)
+            if spent is not None:
+                return result(False, spent)
             if iteration >= self.options.max_iterations:
                 return result(False, f"no convergence in {iteration} iterations")
 
@@ -140,41 +178,30 @@ class ProjectedNewton:
             previous_norm, previous_length = current.norm, length
             current = found
             iteration += 1
-            if observe is not None:
-                observe(
-                    {
-                        "iteration": iteration,
-                        "residual_norm": current.norm,
-                        "relative_residual": _ratio(current.norm, problem.force_scale),
-                        "objective": value,
-                        "step_length": length,
-                        "linear_iterations": direction.iterations,
-                        "projected": int(direction.projected),
-                        "seconds": time.perf_counter() - start,
-                    }
-                )
+            report(value, length, direction.iterations, direction.projected)
 
     def _evaluate(self, problem: StepProblem, x: FloatArray) -> _Iterate:
         residual = problem.gradient(x)
         return _Iterate(x, residual, problem.residual_norm(residual))
 
-    def _first_iterate(self, problem: StepProblem, state: Any) -> tuple[FloatArray, int, int]:
-        """Positions that carry the prescribed motion of the step; linear and nonlinear iterations they took."""
+    def _first_iterate(self, problem: StepProblem, state: Any) -> _First:
+        """Positions that carry the prescribed motion of the step."""
         guess = problem.initial_guess(state)
         motion = guess - state.x
         if problem.partition.max(float(np.abs(motion).max(initial=0.0))) == 0.0:
-            return guess, 0, 0
+            return _First(guess, math.nan, 0.0, 0, 0)
         force = problem.full_gradient(state.x) + problem.hessian_times(state.x, motion)
         answer = self.linear_solver.solve(
             problem.hessian(state.x, project=True), -np.where(problem.free, force, 0.0)
         )
+        problem.linearize_at(state.x)
+        objective = problem.value(guess)
         if answer.converged:
             spread = guess + np.where(problem.free, answer.x, 0.0)
-            problem.linearize_at(state.x)
             value = problem.value(spread)
-            if math.isfinite(value) and not problem.value(guess) < value:
-                return spread, answer.iterations, 1
-        return guess, answer.iterations, 1
+            if math.isfinite(value) and not objective < value:
+                return _First(spread, objective, 1.0, 1, answer.iterations)
+        return _First(guess, objective, 0.0, 1, answer.iterations)
 
     def _direction(self, problem: StepProblem, current: _Iterate, project: bool) -> _Direction:
         answer = self.linear_solver.solve(problem.hessian(current.x, project), -current.residual)

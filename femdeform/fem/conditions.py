@@ -10,6 +10,7 @@ import numpy as np
 from femdeform.fem.discretization import Discretization
 from femdeform.fem.node_sets import NodeSets, facet_loads, facet_measure
 from femdeform.scene import schema
+from femdeform.scene.selection_schema import Selection
 from femdeform.scene.selections import select_facets, select_nodes
 from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
 
@@ -183,7 +184,7 @@ class Conditions:
 
     # ------------------------------------------------------------------------------------------ building
 
-    def nodes(self, selection: schema.Selection) -> IntArray:
+    def nodes(self, selection: Selection) -> IntArray:
         """Nodes of the whole problem that a selection means."""
         if isinstance(selection, str) and "." in selection:
             body, group = selection.split(".", 1)
@@ -192,7 +193,7 @@ class Conditions:
         parts = [self._sets.from_points(body, n) for body, n in select_nodes(selection, self._meshes).items()]
         return np.unique(np.concatenate(parts))
 
-    def local_nodes(self, selection: schema.Selection) -> IntArray:
+    def local_nodes(self, selection: Selection) -> IntArray:
         """Local numbers of the selected nodes that this rank holds."""
         return self._discretization.to_local(self.nodes(selection))
 

@@ -131,7 +131,7 @@ class IncrementalPotential:
             contact.begin_step(state.x, self.time, dt)
         self._reference = state.x
         self.linearize_at(state.x)
-        inertia = 0.0 if self.quasistatic else self.partition.norm(self._apply_mass(state.x - self._x_hat)) / dt**2
+        inertia = 0.0 if self.quasistatic else self.partition.norm(self.apply_mass(state.x - self._x_hat)) / dt**2
         internal = self.partition.norm(self.internal_forces(state.x))
         self.force_scale = inertia + internal + self.partition.norm(self.load)
 
@@ -149,7 +149,7 @@ class IncrementalPotential:
         # Free fall is exact when gravity acts on the same mass as inertia.
         if self.discretization.consistent_mass is None:
             return self.discretization.lumped_mass
-        return self._apply_mass(np.ones((self.discretization.n_nodes, 1)))[:, 0]
+        return self.apply_mass(np.ones((self.discretization.n_nodes, 1)))[:, 0]
 
     def initial_guess(self, state: State) -> FloatArray:
         """Return the positions from which a solver starts: the last state with the prescribed values of the step."""
@@ -164,7 +164,7 @@ class IncrementalPotential:
 
     # ------------------------------------------------------------------------------------------- the function
 
-    def _apply_mass(self, field: FloatArray) -> FloatArray:
+    def apply_mass(self, field: FloatArray) -> FloatArray:
         """M times a node field, ghosts updated."""
         mass = self.discretization.consistent_mass
         if mass is None:
@@ -185,7 +185,7 @@ class IncrementalPotential:
         parts.append(-self.partition.dot(self.load, x - self._reference))
         if not self.quasistatic:
             offset = x - self._x_hat
-            parts.append(0.5 / self.dt**2 * self.partition.dot(offset, self._apply_mass(offset)))
+            parts.append(0.5 / self.dt**2 * self.partition.dot(offset, self.apply_mass(offset)))
         self.value_magnitude = sum(abs(part) for part in parts)
         return sum(parts)
 
@@ -204,7 +204,7 @@ class IncrementalPotential:
         """Gradient of Phi at every degree of freedom [N]; minus the reaction where it is prescribed."""
         out = self.internal_forces(x) - self.load
         if not self.quasistatic:
-            out += self._apply_mass(x - self._x_hat) / self.dt**2
+            out += self.apply_mass(x - self._x_hat) / self.dt**2
         return out
 
     def gradient(self, x: FloatArray) -> FloatArray:
@@ -311,7 +311,7 @@ class IncrementalPotential:
 
     def kinetic_energy(self, v: FloatArray) -> float:
         """Kinetic energy [J]."""
-        return 0.5 * self.partition.dot(v, self._apply_mass(v))
+        return 0.5 * self.partition.dot(v, self.apply_mass(v))
 
     def load_potential(self, x: FloatArray) -> float:
         """Minus the work of gravity and dead loads from the reference positions, at their present size [J]."""

@@ -2,79 +2,135 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from femdeform.fem.fields import volumes
 from femdeform.fem.incremental_potential import State
+from femdeform.run.quantities import Meter, Snapshot, motion, reaction, scalar_quantity
 from femdeform.run.setup import Simulation
-from femdeform.scene import schema
+from femdeform.scene.quantity_schema import ExpectedTime, ExpectedValue
+from femdeform.scene.selection_schema import Selection
+
+Columns = Mapping[str, NDArray[Any]]
+
+_SCALARS = ("volume_ratio", "elastic_energy", "kinetic_energy", "total_energy", "max_displacement", "min_jacobian")
 
 
-def check_expectations(simulation: Simulation, state: State) -> list[dict[str, Any]]:
+def check_expectations(
+    simulation: Simulation, state: State, history: Columns | None = None
+) -> list[dict[str, Any]]:
     """Compare every expected value of a scene with the computed one; collective over the ranks.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Its problem holds the loads and the inertia of the step that led to the state.
+    state : State
+        Last accepted state.
+    history : mapping of str to (n_steps,) arrays
+        Columns of ``history.csv``, the same on every rank; needed for `residual` and `time_to_reach`.
 
     Returns
     -------
     list of dict
-        ``quantity, computed, expected, atol, rtol, passed`` of each, in the order of the schema.
+        ``quantity, computed, expected, rtol, atol, at_least, at_most, passed`` of each, as far as they are given, in
+        the order of the schema.
+
+    Raises
+    ------
+    ValueError
+        If the history is needed and not given.
     """
     expect = simulation.scene.expect
+    snapshot = Snapshot(simulation, state)
     verdicts = []
-    scalars = {
-        "volume_ratio": expect.volume_ratio,
-        "elastic_energy": expect.elastic_energy,
-        "kinetic_energy": expect.kinetic_energy,
-        "max_displacement": expect.max_displacement,
-        "min_jacobian": expect.min_jacobian,
-    }
-    for name, expected in scalars.items():
+    for name in _SCALARS:
+        expected = getattr(expect, name)
         if expected is not None:
-            verdicts.append(_verdict(name, scalar_quantity(name, simulation, state), expected))
+            verdicts.append(_verdict(name, scalar_quantity(name, None)(snapshot), expected))
+    if expect.residual is not None:
+        residuals = np.asarray(_needed(history)["relative_residual"], dtype=float)
+        # A run may have no step left to do; then no residual was left behind either.
+        verdicts.append(_verdict("residual", float(residuals.max(initial=0.0)), expect.residual))
     for wanted in expect.displacement:
-        label = f"displacement.{wanted.component} on {wanted.on if isinstance(wanted.on, str) else 'selection'}"
-        verdicts.append(_verdict(label, mean_displacement(simulation, state, wanted), wanted))
+        place = _words(wanted.on) if wanted.on is not None else f"point {list(wanted.at or ())}"
+        computed = motion(simulation, wanted, wanted.component)(snapshot)
+        verdicts.append(_verdict(f"displacement.{wanted.component} on {place}", computed, wanted))
+    for force in expect.reaction:
+        computed = reaction(simulation, force.on, force.component)(snapshot)
+        verdicts.append(_verdict(f"reaction.{force.component} on {_words(force.on)}", computed, force))
+    if expect.measured or expect.time_to_reach:
+        meter = Meter(simulation)
+        values = meter.evaluate(state) if expect.measured else {}
+        for name, value in expect.measured.items():
+            verdicts.append(_verdict(f"measure.{name}", values[name], value))
+        start = meter.evaluate(simulation.state, is_start=True) if expect.time_to_reach else {}
+        for crossing in expect.time_to_reach:
+            time = time_to_reach(_needed(history), crossing, start[crossing.quantity])
+            verdicts.append(_verdict(f"time at which {crossing.quantity} reaches {crossing.level:g}", time, crossing))
     return verdicts
 
 
-def scalar_quantity(name: str, simulation: Simulation, state: State) -> float:
-    """One of the scalar quantities of `expect:`; collective over the ranks."""
-    problem, partition = simulation.problem, simulation.discretization.partition
-    if name == "elastic_energy":
-        return problem.elastic_energy(state.x)
-    if name == "kinetic_energy":
-        return problem.kinetic_energy(state.v)
-    if name == "max_displacement":
-        length = np.linalg.norm(state.x - simulation.discretization.points, axis=1)
-        return partition.max(float(length.max(initial=0.0)))
-    reference, deformed, smallest = volumes(simulation.discretization.groups, state.x)
-    if name == "min_jacobian":
-        return partition.min(smallest)
-    return partition.sum(deformed) / partition.sum(reference)
+def time_to_reach(history: Columns, wanted: ExpectedTime, start: float) -> float:
+    """Simulated time at which a quantity first reaches a level, linear between steps; infinite if it never does [s].
+
+    Parameters
+    ----------
+    history : mapping of str to (n_steps,) arrays
+        With `time` and the column of the quantity.
+    wanted : ExpectedTime
+        The quantity and its level.
+    start : float
+        Value at time 0.
+    """
+    values = np.concatenate([[start], history[f"measure.{wanted.quantity}"]])
+    times = np.concatenate([[0.0], history["time"]])
+    offset = values - wanted.level
+    if offset[0] == 0.0:
+        return 0.0
+    reached = np.flatnonzero(np.sign(offset) != np.sign(offset[0]))
+    if not reached.size:
+        return math.inf
+    after = int(reached[0])
+    part = offset[after - 1] / (offset[after - 1] - offset[after])
+    return float(times[after - 1] + part * (times[after] - times[after - 1]))
 
 
-def mean_displacement(simulation: Simulation, state: State, wanted: schema.ExpectedDisplacement) -> float:
-    """Component, or norm, of the mean displacement of the selected nodes [m]; collective over the ranks."""
-    discretization = simulation.discretization
-    partition = discretization.partition
-    nodes = simulation.conditions.local_nodes(wanted.on)
-    nodes = nodes[nodes < partition.n_owned]
-    total = (state.x[nodes] - discretization.points[nodes]).sum(axis=0)
-    count = partition.sum(float(nodes.size))
-    mean = np.array([partition.sum(float(component)) for component in total]) / count
-    if wanted.component == "norm":
-        return float(np.linalg.norm(mean))
-    return float(mean["xyz".index(wanted.component)])
+def describe_verdict(verdict: Mapping[str, Any]) -> str:
+    """One verdict in words: what was computed, what was expected."""
+    if verdict.get("expected") is not None:
+        wanted = f"expected {verdict['expected']:.6g}"
+    else:
+        bounds = {"at least": verdict.get("at_least"), "at most": verdict.get("at_most")}
+        wanted = " and ".join(f"{word} {bound:.6g}" for word, bound in bounds.items() if bound is not None)
+        wanted = f"expected {wanted}"
+    return f"{verdict['quantity']} is {verdict['computed']:.6g}, {wanted}"
 
 
-def _verdict(quantity: str, computed: float, expected: schema.ExpectedValue) -> dict[str, Any]:
-    allowed = expected.atol + expected.rtol * abs(expected.value)
-    return {
-        "quantity": quantity,
-        "computed": computed,
-        "expected": expected.value,
-        "atol": expected.atol,
-        "rtol": expected.rtol,
-        "passed": bool(abs(computed - expected.value) <= allowed),
-    }
+def _needed(history: Columns | None) -> Columns:
+    if history is None:
+        raise ValueError("these expectations need the history of the run")
+    return history
+
+
+def _words(on: Selection | None) -> str:
+    return on if isinstance(on, str) else "selection"
+
+
+def _verdict(quantity: str, computed: float, expected: ExpectedValue) -> dict[str, Any]:
+    verdict: dict[str, Any] = {"quantity": quantity, "computed": computed}
+    if expected.value is not None:
+        allowed = expected.atol + expected.rtol * abs(expected.value)
+        passed = abs(computed - expected.value) <= allowed
+        verdict |= {"expected": expected.value, "rtol": expected.rtol, "atol": expected.atol}
+    else:
+        low = -math.inf if expected.at_least is None else expected.at_least
+        high = math.inf if expected.at_most is None else expected.at_most
+        passed = math.isfinite(computed) and low <= computed <= high
+        given = {"at_least": expected.at_least, "at_most": expected.at_most}
+        verdict |= {name: bound for name, bound in given.items() if bound is not None}
+    return {**verdict, "passed": bool(passed)}

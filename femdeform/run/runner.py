@@ -19,17 +19,20 @@ from femdeform.errors import FemdeformError, InputError, OutputError
 from femdeform.fem.incremental_potential import State
 from femdeform.jit import CompilationAnnouncer, set_threads
 from femdeform.run.checkpoint import START_ANEW, Checkpoint, is_unsaved, read_checkpoint, write_checkpoint
-from femdeform.run.expectations import check_expectations
+from femdeform.run.expectations import check_expectations, describe_verdict
 from femdeform.run.output import FrameSource
 from femdeform.run.progress import Progress
+from femdeform.run.quantities import Meter, standard_quantities
 from femdeform.run.recorder import Recorder
+from femdeform.run.result import Result
 from femdeform.run.setup import Simulation, build_simulation
+from femdeform.run.table import read_table
 from femdeform.run.time_loop import LoopOutcome, StepControl, default_min_dt, run_time_loop
 from femdeform.scene.checks import check_file, check_scene
 from femdeform.scene.load import LoadedScene, load_scene
 from femdeform.scene.meshing import load_meshes
 from femdeform.step_problem import IterationObserver, StepResult
-from femdeform.types import Mesh
+from femdeform.types import FloatArray, Mesh
 
 _INTERRUPTED = 130
 _THREADED_CELLS = 2000
@@ -174,6 +177,8 @@ class _Run:
         self.progress = Progress(self.scene.time.end, self.is_first and not quiet)
         self.simulation: Simulation = build_simulation(self.scene, given.meshes, comm)
         self.frames = FrameSource(self.simulation)
+        self.meter = Meter(self.simulation)
+        self.measured: dict[str, float] = {}
         self.n_frames = 0
         self.n_failures = 0
         scene_time = self.scene.time
@@ -187,6 +192,9 @@ class _Run:
         self.earlier_seconds = 0.0 if checkpoint is None else checkpoint.seconds
         self.state = self.simulation.state if checkpoint is None else self._restore(checkpoint)
         self.resumed = checkpoint is not None
+        # What a run that has reached its end already says of itself; nobody can measure the forces of its last step.
+        self.earlier_facts = Result.open(self.folder).facts if self.resumed and self.is_first else {}
+        self.first_step = self.state.step
         self.last_saved = self.state.step if self.resumed else -1
         self.is_recording = False
         self.is_interrupted = False
@@ -241,7 +249,7 @@ class _Run:
         self.is_recording = True
         self._record(state, result, dt)
         self.is_recording = False
-        if self.is_interrupted:
+        if self.is_interrupted and not self.control.is_done(state.time):
             raise KeyboardInterrupt
 
     def _record(self, state: State, result: StepResult, dt: float) -> None:
@@ -264,12 +272,15 @@ class _Run:
             "failed_attempts": self.n_failures,
             "stopped_by": result.reason,
         }
+        self.measured = {f"measure.{name}": value for name, value in self.meter.evaluate(state).items()}
+        row.update(self.measured)
         self.n_failures = 0
         if self.recorder is not None:
             self.recorder.step(row)
         if state.step % self.scene.output.every == 0 or self.control.is_done(state.time):
             self._write_frame(state)
-        if state.step % self.scene.output.checkpoint_every == 0:
+        # The end is saved with its verdicts, for which the forces of the last step are needed.
+        if state.step % self.scene.output.checkpoint_every == 0 and not self.control.is_done(state.time):
             self._save(state)
         self.progress.advance(state.step, state.time, result.relative_residual, result.iterations)
         self.step_begin = time.perf_counter()
@@ -286,7 +297,7 @@ class _Run:
             return None
         recorder = self.recorder
 
-        def observe(row: Mapping[str, float | int | str]) -> None:
+        def observe(row: Mapping[str, float | int | str], x: FloatArray) -> None:
             recorder.iteration({"step": step, **row})
 
         return observe
@@ -329,21 +340,36 @@ class _Run:
         return self.earlier_seconds + time.perf_counter() - self.begin
 
     def _finish(self, outcome: LoopOutcome) -> int:
-        verdicts = check_expectations(self.simulation, outcome.state) if outcome.finished else []
+        verdicts, quantities = self._judge(outcome)
         failed = [v for v in verdicts if not v["passed"]]
-        if self.last_saved != outcome.state.step:
-            self._save(outcome.state)
         if not outcome.finished:
             status, reason, code = "not_converged", outcome.reason, 3
         elif failed:
             status, code = "expectation_failed", 1
-            reason = "; ".join(f"{v['quantity']} is {v['computed']:.6g}, expected {v['expected']:.6g}" for v in failed)
+            reason = "; ".join(map(describe_verdict, failed))
         else:
             status, reason, code = "done", "", 0
-        self._record_end(outcome.state, status, reason, verdicts)
+        self._record_end(outcome.state, status, reason, verdicts, quantities)
+        if self.last_saved != outcome.state.step:
+            self._save(outcome.state)
         self._say_outcome(status, reason, outcome.state, verdicts)
         self.simulation.linear_solver.destroy()
         return code
+
+    def _judge(self, outcome: LoopOutcome) -> tuple[list[dict[str, Any]], dict[str, float]]:
+        """Verdicts of `expect` and the quantities at the end; the same on all ranks."""
+        if self.resumed and outcome.finished and outcome.state.step == self.first_step:
+            earlier = (list(self.earlier_facts.get("expect", [])), dict(self.earlier_facts.get("quantities", {})))
+            return earlier if self.comm is None else self.comm.bcast(earlier, root=0)
+        quantities = standard_quantities(self.simulation, outcome.state) | self.measured
+        if not outcome.finished:
+            return [], quantities
+        history = None
+        if self.is_first and (self.folder / "history.csv").exists():
+            history = read_table(self.folder / "history.csv")
+        if self.comm is not None:
+            history = self.comm.bcast(history, root=0)
+        return check_expectations(self.simulation, outcome.state, history), quantities
 
     def _interrupted(self) -> int:
         # Gathering needs every rank; ranks may be interrupted in different steps, so only a serial run saves.
@@ -364,11 +390,24 @@ class _Run:
             with suppress(OutputError):
                 self._record_end(self.state, "failed", reason, [])
 
-    def _record_end(self, state: State, status: str, reason: str, verdicts: list[dict[str, Any]]) -> None:
+    def _record_end(
+        self,
+        state: State,
+        status: str,
+        reason: str,
+        verdicts: list[dict[str, Any]],
+        quantities: Mapping[str, float] | None = None,
+    ) -> None:
         points = self.frames.point_data(state)
         cells = self.frames.cell_data(state)
         if self.recorder is not None and points is not None:
-            facts = {"wall_seconds": self._seconds(), "expect": verdicts, "steps": state.step, "time": state.time}
+            facts = {
+                "wall_seconds": self._seconds(),
+                "expect": verdicts,
+                "quantities": quantities or {},
+                "steps": state.step,
+                "time": state.time,
+            }
             self.recorder.finish(status, reason, facts, points, cells)
 
     def _say_outcome(self, status: str, reason: str, state: State, verdicts: list[dict[str, Any]]) -> None:
@@ -376,7 +415,7 @@ class _Run:
             return
         for v in verdicts:
             mark = "ok" if v["passed"] else "FAILED"
-            print(f"expect {v['quantity']}: {v['computed']:.6g} (expected {v['expected']:.6g}): {mark}")
+            print(f"expect: {describe_verdict(v)}: {mark}")
         text = f"{status}: {state.step} steps to t = {state.time:.6g} s in {self._seconds():.1f} s; {self.folder}"
         stream = sys.stdout if status == "done" else sys.stderr
         if not (self.quiet and status == "done"):

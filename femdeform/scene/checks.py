@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 
 from femdeform import registry
 from femdeform.errors import Fault, InputError
@@ -16,12 +14,12 @@ from femdeform.scene.key_path import KeyPath
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
 from femdeform.scene.partial import sound_part
-from femdeform.scene.selections import select_facets, select_nodes
+from femdeform.scene.quantity_checks import quantity_findings
+from femdeform.scene.selection_checks import COMPONENTS, hint_of, judge_selection, vectors_inside
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
 
-_COMPONENTS = "xyz"
 _NEEDS_FACETS = (schema.Traction, schema.Pressure)
 
 
@@ -47,6 +45,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *_body_findings(loaded.scene, meshes),
         *_dimension_findings(loaded.scene, meshes),
         *_selection_findings(loaded.scene, meshes, frozenset(coarse)),
+        *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
     ]
@@ -92,7 +91,8 @@ def _region_findings(body: schema.Body, mesh: Mesh, path: KeyPath) -> Iterator[F
         if region in mesh.group_names():
             yield Finding((*path, region), f"`{region}` is a group of the boundary, not of cells")
         else:
-            yield Finding((*path, region), f"there is no group of cells `{region}`; {_hint(region, mesh.cell_groups)}")
+            hint = hint_of(region, mesh.cell_groups)
+            yield Finding((*path, region), f"there is no group of cells `{region}`; {hint}")
     if unknown:
         return
     if (count > 1).any():
@@ -124,13 +124,9 @@ def _dimension_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh
         yield from _rotation_findings(condition, dim, ("conditions", index))
         if isinstance(condition, schema.SUPPORTS) and condition.components:
             for place, component in enumerate(condition.components):
-                if component not in _COMPONENTS[:dim]:
+                if component not in COMPONENTS[:dim]:
                     path = ("conditions", index, "components", place)
                     yield Finding(path, f"there is no {component} in a {dim}D scene")
-    for index, expected in enumerate(scene.expect.displacement):
-        if expected.component != "norm" and expected.component not in _COMPONENTS[:dim]:
-            path = ("expect", "displacement", index, "component")
-            yield Finding(path, f"there is no {expected.component} in a {dim}D scene")
 
 
 def _rotation_findings(condition: schema.Condition, dim: int, path: KeyPath) -> Iterator[Finding]:
@@ -159,26 +155,9 @@ def _vectors(scene: schema.DeformableScene) -> Iterator[tuple[KeyPath, tuple[flo
         yield ("gravity",), scene.gravity
     for index, condition in enumerate(scene.conditions):
         # Axes and angular velocities have rules of their own.
-        yield from _vectors_inside(condition, ("conditions", index), leave_out=("axis", "angular_velocity"))
+        yield from vectors_inside(condition, ("conditions", index), leave_out=("axis", "angular_velocity"))
     for index, obstacle in enumerate(scene.obstacles):
-        yield from _vectors_inside(obstacle, ("obstacles", index))
-    for index, expected in enumerate(scene.expect.displacement):
-        yield from _vectors_inside(expected, ("expect", "displacement", index))
-
-
-def _vectors_inside(
-    value: Any, path: KeyPath, leave_out: tuple[str, ...] = ()
-) -> Iterator[tuple[KeyPath, tuple[float, ...]]]:
-    if isinstance(value, BaseModel):
-        for name in type(value).model_fields:
-            if name not in leave_out:
-                yield from _vectors_inside(getattr(value, name), (*path, name))
-    elif isinstance(value, tuple) and value and all(isinstance(entry, float) for entry in value):
-        yield path, value
-    elif isinstance(value, (tuple, list)):
-        for index, entry in enumerate(value):
-            if isinstance(entry, tuple):
-                yield from _vectors_inside(entry, (*path, index))
+        yield from vectors_inside(obstacle, ("obstacles", index))
 
 
 # ------------------------------------------------------------------------------------------------ selections
@@ -189,99 +168,7 @@ def _selection_findings(
 ) -> Iterator[Finding]:
     for index, condition in enumerate(scene.conditions):
         needs_facets = isinstance(condition, _NEEDS_FACETS)
-        yield from _judge_selection(condition.on, ("conditions", index, "on"), scene, meshes, coarse, needs_facets)
-    for index, expected in enumerate(scene.expect.displacement):
-        yield from _judge_selection(expected.on, ("expect", "displacement", index, "on"), scene, meshes, coarse, False)
-
-
-def _judge_selection(
-    selection: schema.Selection,
-    path: KeyPath,
-    scene: schema.DeformableScene,
-    meshes: Mapping[str, Mesh],
-    coarse: frozenset[str],
-    needs_facets: bool,
-) -> Iterator[Finding]:
-    if isinstance(selection, str):
-        yield from _judge_name(selection, path, scene, meshes, needs_facets)
-        return
-    if selection.body is not None and selection.body not in scene.bodies:
-        hint = did_you_mean(selection.body, scene.bodies)
-        yield Finding((*path, "body"), f"there is no body `{selection.body}`; {hint}")
-        return
-    concerned = [selection.body] if selection.body is not None else list(scene.bodies)
-    if isinstance(selection, schema.NodeSelection) and len(concerned) > 1:
-        message = f"with several bodies, `body` has to say whose nodes are meant; {did_you_mean('', scene.bodies)}"
-        yield Finding((*path, "body"), f"missing; {message}")
-        return
-    judged = {name: meshes[name] for name in concerned if name in meshes and name not in coarse}
-    dims = {mesh.dim for mesh in meshes.values()}
-    if len(judged) < len(concerned) or len(dims) > 1:
-        return  # no mesh to judge it by, or a fault that is reported already
-    if any(len(vector) not in dims for _, vector in _vectors_inside(selection, ())):
-        return
-    try:
-        found = select_nodes(selection, judged)
-    except InputError as error:
-        yield Finding((*path, "nodes"), error.faults[0].message)
-        return
-    yield from _judge_extent(found, selection, path, scene, judged, needs_facets, "the place")
-
-
-def _judge_name(
-    name: str, path: KeyPath, scene: schema.DeformableScene, meshes: Mapping[str, Mesh], needs_facets: bool
-) -> Iterator[Finding]:
-    body, dot, group = name.partition(".")
-    if body not in scene.bodies:
-        owners = [f"{owner}.{name}" for owner, mesh in meshes.items() if name in mesh.group_names()]
-        if owners:
-            yield Finding(path, f"`{name}` is a group, not a body; did you mean `{owners[0]}`?")
-        else:
-            yield Finding(path, f"there is no body `{body}`; {did_you_mean(body, scene.bodies)}")
-        return
-    if body not in meshes:
-        return
-    known = meshes[body].group_names()
-    if dot and group not in known:
-        hint = did_you_mean(group, known)
-        listed = f" (groups: {', '.join(known)})" if hint.startswith("did") else ""
-        yield Finding(path, f"body `{body}` has no group `{group}`; {hint}{listed}")
-        return
-    yield from _judge_extent(select_nodes(name, meshes), name, path, scene, meshes, needs_facets, f"`{name}`")
-
-
-def _judge_extent(
-    nodes: Mapping[str, Any],
-    selection: schema.Selection,
-    path: KeyPath,
-    scene: schema.DeformableScene,
-    meshes: Mapping[str, Mesh],
-    needs_facets: bool,
-    subject: str,
-) -> Iterator[Finding]:
-    if not nodes:
-        yield Finding(path, f"selects nothing: no node lies there ({_extent(meshes)})")
-    elif needs_facets:
-        # The border of a membrane is a line, the end of a rod a point: neither has an area, nor a normal.
-        others = [body for body in nodes if scene.bodies[body].kind != "solid"]
-        if others:
-            kind = scene.bodies[others[0]].kind
-            message = f"body `{others[0]}` is a {kind}, but this load acts on facets of solids; use point_load"
-            yield Finding(path, message)
-        elif not select_facets(selection, meshes):
-            yield Finding(path, f"{subject} holds nodes, but no facet of the boundary for the load to act on")
-
-
-def _extent(meshes: Mapping[str, Mesh]) -> str:
-    low = np.min([mesh.points.min(axis=0) for mesh in meshes.values()], axis=0)
-    high = np.max([mesh.points.max(axis=0) for mesh in meshes.values()], axis=0)
-    ranges = [f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip(_COMPONENTS, low, high, strict=False)]
-    return f"the nodes span {', '.join(ranges)} [m]"
-
-
-def _hint(word: str, known: Iterable[str]) -> str:
-    names = sorted(known)
-    return did_you_mean(word, names) if names else "the mesh names no groups of cells"
+        yield from judge_selection(condition.on, ("conditions", index, "on"), scene, meshes, coarse, needs_facets)
 
 
 # ------------------------------------------------------------------------------------------- time and solver

@@ -84,10 +84,12 @@ def survey_meshes(loaded: LoadedScene) -> MeshSurvey:
     meshes: dict[str, Mesh] = {}
     faults: list[Fault] = []
     coarse: set[str] = set()
-    selections = [condition.on for condition in loaded.scene.conditions]
-    selections += [expected.on for expected in loaded.scene.expect.displacement]
-    for name, body in loaded.scene.bodies.items():
-        by_place = any(not isinstance(on, str) and on.body in (None, name) for on in selections)
+    scene = loaded.scene
+    placed: list[Any] = [*scene.conditions, *scene.measure.values(), *scene.expect.displacement, *scene.expect.reaction]
+    selections = [block.on for block in placed if getattr(block, "on", None) is not None]
+    by_point = any(getattr(block, "at", None) is not None for block in placed)
+    for name, body in scene.bodies.items():
+        by_place = by_point or any(not isinstance(on, str) and on.body in (None, name) for on in selections)
         substitute = _coarsened(body.mesh, _PATIENCE if by_place else 1.0)
         if substitute is not None and name not in loaded.meshes:
             try:

@@ -11,53 +11,25 @@ fault is then reported at that key.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from femdeform.scene.mesh_schema import MeshSource
-
-
-class SceneModel(BaseModel):
-    """Base of every block of a scene: unknown keys are errors, types are not coerced, objects are frozen."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-def _as_tuple(value: Any) -> Any:
-    # YAML knows lists only; strict tuples would refuse them.
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _not_zero(value: tuple[float, ...]) -> tuple[float, ...]:
-    if not any(value):
-        raise ValueError("a zero vector has no direction")
-    return value
-
-
-def _default(key: str, word: str) -> Callable[[Any], Any]:
-    """Validator that fills in the word which chooses the member of a union, so that it may be left out."""
-
-    def fill(value: Any) -> Any:
-        return {**value, key: word} if isinstance(value, dict) and key not in value else value
-
-    return fill
-
-
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector = Annotated[tuple[Finite, ...], BeforeValidator(_as_tuple), Field(min_length=2, max_length=3)]
-Direction = Annotated[
-    tuple[Finite, ...],
-    BeforeValidator(_as_tuple),
-    Field(min_length=2, max_length=3),
-    AfterValidator(_not_zero),
-]
-# Names of bodies stand before the dot of `on: body.group`, and in the names of result fields.
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-
+from femdeform.scene.quantity_schema import Expect, Quantity
+from femdeform.scene.scene_model import (
+    Direction,
+    Finite,
+    Name,
+    NonNegative,
+    Positive,
+    SceneModel,
+    Vector,
+    as_tuple,
+    default_tag,
+    distinct,
+)
+from femdeform.scene.selection_schema import Selection
 
 # ------------------------------------------------------------------------------------------------- materials
 
@@ -167,61 +139,8 @@ class RodBody(_BodyModel):
 
 Body = Annotated[
     Annotated[SolidBody | MembraneBody | RodBody, Field(discriminator="kind")],
-    BeforeValidator(_default("kind", "solid")),
+    BeforeValidator(default_tag("kind", "solid")),
 ]
-
-
-# ------------------------------------------------------------------------------------------------ selections
-
-
-def _check_corners(key: str, low: tuple[float, ...], high: tuple[float, ...]) -> None:
-    if len(low) == len(high) and any(a > b for a, b in zip(low, high, strict=True)):
-        raise ValueError(f"{key}: the lowest corner comes first, and no component of it may exceed the highest")
-
-
-class BoxSelection(SceneModel):
-    box: Annotated[tuple[Vector, Vector], BeforeValidator(_as_tuple)] = Field(
-        description="lowest and highest corner of an axis-parallel box [m]"
-    )
-    body: str | None = Field(default=None, description="restrict to one body")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> BoxSelection:
-        _check_corners("box", *self.box)
-        return self
-
-
-class PlaneRegion(SceneModel):
-    point: Vector = Field(description="a point of the plane [m]")
-    normal: Direction = Field(description="normal of the plane, of any length [-]")
-    tolerance: Positive | None = Field(
-        default=None,
-        description="half thickness of the slab that counts as on the plane [m]; default 1e-6 of the size",
-    )
-
-
-class PlaneSelection(SceneModel):
-    plane: PlaneRegion = Field(description="nodes on a plane")
-    body: str | None = Field(default=None, description="restrict to one body")
-
-
-class SphereRegion(SceneModel):
-    center: Vector = Field(description="centre [m]")
-    radius: Positive = Field(description="radius [m]")
-
-
-class SphereSelection(SceneModel):
-    sphere: SphereRegion = Field(description="nodes in a ball")
-    body: str | None = Field(default=None, description="restrict to one body")
-
-
-class NodeSelection(SceneModel):
-    nodes: list[Annotated[int, Field(ge=0)]] = Field(min_length=1, description="0-based points of the mesh")
-    body: str | None = Field(default=None, description="body the numbers refer to; needed with several bodies")
-
-
-# A name is `body` (all of it) or `body.group`.
-Selection = Annotated[str, Field(min_length=1)] | BoxSelection | PlaneSelection | SphereSelection | NodeSelection
 
 
 # ------------------------------------------------------------------------------------------------ conditions
@@ -246,12 +165,6 @@ class Amplitude(SceneModel):
         return self
 
 
-def _distinct(value: Any) -> Any:
-    if len(set(value)) < len(value):
-        raise ValueError("an entry is given twice")
-    return value
-
-
 class _ConditionModel(SceneModel):
     on: Selection = Field(description="`body`, `body.group`, or a box, plane, sphere or list of nodes")
 
@@ -260,9 +173,9 @@ class _Support(_ConditionModel):
     components: (
         Annotated[
             tuple[Literal["x", "y", "z"], ...],
-            BeforeValidator(_as_tuple),
+            BeforeValidator(as_tuple),
             Field(min_length=1),
-            AfterValidator(_distinct),
+            AfterValidator(distinct),
         ]
         | None
     ) = Field(default=None, description="components prescribed, the others are free; all when left out")
@@ -476,7 +389,7 @@ class SciPyDirectLinearSolver(SceneModel):
 
 LinearSolver = Annotated[
     Annotated[KSPLinearSolver | SciPyDirectLinearSolver, Field(discriminator="method")],
-    BeforeValidator(_default("method", "ksp")),
+    BeforeValidator(default_tag("method", "ksp")),
 ]
 
 
@@ -489,41 +402,11 @@ OutputField = Literal["displacement", "velocity", "von_mises", "jacobian", "ener
 
 
 class Output(SceneModel):
-    fields: Annotated[list[OutputField], AfterValidator(_distinct)] = Field(
+    fields: Annotated[list[OutputField], AfterValidator(distinct)] = Field(
         default=["displacement", "velocity"], description="what a frame holds"
     )
     every: int = Field(default=1, ge=1, description="steps between frames")
     checkpoint_every: int = Field(default=10, ge=1, description="steps between checkpoints")
-
-
-class ExpectedValue(SceneModel):
-    value: Finite = Field(description="expected value")
-    rtol: NonNegative = Field(default=0.0, description="relative tolerance [-]")
-    atol: NonNegative = Field(default=0.0, description="absolute tolerance, in the unit of the value")
-
-    @model_validator(mode="after")
-    def _has_tolerance(self) -> ExpectedValue:
-        if self.rtol == 0.0 and self.atol == 0.0:
-            raise ValueError("give rtol or atol: no computed number equals another exactly")
-        return self
-
-
-class ExpectedDisplacement(ExpectedValue):
-    value: Finite = Field(description="expected mean displacement [m]")
-    atol: NonNegative = Field(default=0.0, description="absolute tolerance [m]")
-    on: Selection = Field(description="nodes whose mean displacement is meant")
-    component: Literal["x", "y", "z", "norm"] = Field(description="component, or the norm of the mean")
-
-
-class Expect(SceneModel):
-    """Values at the end of the run; one outside its tolerance makes the exit code 1."""
-
-    volume_ratio: ExpectedValue | None = Field(default=None, description="deformed over reference volume [-]")
-    elastic_energy: ExpectedValue | None = Field(default=None, description="elastic energy [J]")
-    kinetic_energy: ExpectedValue | None = Field(default=None, description="kinetic energy [J]")
-    max_displacement: ExpectedValue | None = Field(default=None, description="largest nodal displacement [m]")
-    min_jacobian: ExpectedValue | None = Field(default=None, description="smallest det F [-]")
-    displacement: list[ExpectedDisplacement] = Field(default_factory=list, description="mean displacements [m]")
 
 
 class DeformableScene(SceneModel):
@@ -552,6 +435,10 @@ class DeformableScene(SceneModel):
     )
     on_failure: OnFailure = Field(default=OnFailure(), description="what happens when a step does not converge")
     output: Output = Field(default=Output(), description="what is written, and how often")
+    measure: dict[Name, Quantity] = Field(
+        default_factory=dict,
+        description="quantities by name: a column `measure.NAME` each in history.csv, final values in result.json",
+    )
     expect: Expect = Field(default=Expect(), description="values at the end of the run that `run` compares with")
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from femdeform.errors import InputError
-from femdeform.scene.schema import BoxSelection, NodeSelection, PlaneSelection, Selection, SphereSelection
+from femdeform.scene.selection_schema import BoxSelection, NodeSelection, PlaneSelection, Selection, SphereSelection
 from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
 
 # What lies on the border of a box or sphere up to rounding belongs to it; relative to the size of the bodies.

@@ -105,7 +105,7 @@ def moment(x: Array, p: Array) -> Array:
 def test_momentum(dim: int, order: int, mass: str) -> None:
     """Linear momentum stays; angular momentum changes by h sum v_new x M v_old, backward Euler's own loss."""
     simulation = build(tumbling(dim, order, mass))
-    M = simulation.problem._apply_mass
+    M = simulation.problem.apply_mass
     h = 0.005
     start = momentum_of(M, simulation.state.v)
     deformation = 0.0

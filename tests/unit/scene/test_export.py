@@ -76,7 +76,8 @@ def numbers_without_unit(node: Any, path: str = "") -> Iterator[str]:
     """Properties that are plain numbers (not counts) and whose description has no ``[unit]``."""
     if isinstance(node, dict):
         for name, value in node.get("properties", {}).items():
-            if value.get("type") == "number" and "[" not in value.get("description", ""):
+            kinds = [value.get("type"), *(member.get("type") for member in value.get("anyOf", []))]
+            if "number" in kinds and "[" not in value.get("description", ""):
                 yield f"{path}.{name}"
         for name, value in node.items():
             yield from numbers_without_unit(value, f"{path}.{name}")
@@ -86,6 +87,9 @@ def numbers_without_unit(node: Any, path: str = "") -> Iterator[str]:
 
 
 def test_every_number_has_a_unit() -> None:
-    # The unit of an expected value is that of the key around it.
-    allowed = {".$defs.ExpectedValue.value", ".$defs.ExpectedValue.atol"}
-    assert set(numbers_without_unit(json_schema())) == allowed
+    # The unit of an expected value, of its bounds and of a level is that of the quantity they belong to.
+    allowed = {"value", "atol", "at_least", "at_most", "level"}
+    for path in numbers_without_unit(json_schema()):
+        model, key = path.split(".")[-2:]
+        assert model.startswith("Expected"), path
+        assert key in allowed, path

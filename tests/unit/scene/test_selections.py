@@ -10,7 +10,7 @@ import pytest
 from femdeform import registry
 from femdeform.errors import InputError
 from femdeform.scene.mesh_schema import BlockMesh, SphereSurfaceMesh
-from femdeform.scene.schema import (
+from femdeform.scene.selection_schema import (
     BoxSelection,
     NodeSelection,
     PlaneRegion,

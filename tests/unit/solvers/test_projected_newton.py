@@ -12,7 +12,7 @@ from scenario import block, body, build, material, quasistatic, random_state, sc
 from femdeform.fem.fields import jacobians
 from femdeform.fem.incremental_potential import IncrementalPotential
 from femdeform.run.setup import Simulation
-from femdeform.step_problem import StepResult
+from femdeform.step_problem import Budget, StepResult
 
 
 def bent_bar(law: str = "neo_hookean", **solver: Any) -> Simulation:
@@ -28,7 +28,9 @@ def bent_bar(law: str = "neo_hookean", **solver: Any) -> Simulation:
     )
 
 
-def solve(simulation: Simulation, start: Any = None) -> tuple[StepResult, list[dict[str, Any]]]:
+def solve(
+    simulation: Simulation, start: Any = None, budget: Budget | None = None
+) -> tuple[StepResult, list[dict[str, Any]]]:
     """One step without asking for convergence; the rows of its iterations come along."""
     rows: list[dict[str, Any]] = []
     state = simulation.state
@@ -36,7 +38,8 @@ def solve(simulation: Simulation, start: Any = None) -> tuple[StepResult, list[d
         state = state.copy()
         state.x[:] = start
     simulation.problem.begin_step(state, simulation.scene.time.dt)
-    return simulation.solver.step(simulation.problem, state, rows.append), rows  # type: ignore[arg-type]
+    result = simulation.solver.step(simulation.problem, state, lambda row, x: rows.append(dict(row)), budget)
+    return result, rows
 
 
 @pytest.mark.parametrize("hessian", ["adaptive", "exact"])
@@ -189,7 +192,9 @@ def test_iterations_that_spread_a_prescribed_motion_count(law: str) -> None:
     simulation.solver.options = simulation.solver.options.model_copy(update={"max_iterations": 1})  # type: ignore[attr-defined]
     result, rows = solve(simulation)
     assert not result.converged
-    assert rows == []
+    assert [row["iteration"] for row in rows] == [1]
+    assert rows[0]["residual_norm"] == result.residual_norm
+    assert rows[0]["step_length"] == 1.0
 
 
 HELD = [
