@@ -398,7 +398,9 @@ class OnFailure(SceneModel):
     min_dt: Positive | None = Field(default=None, description="smallest step before stopping [s]; default dt / 64")
 
 
-OutputField = Literal["displacement", "velocity", "von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"]
+OutputField = Literal[
+    "displacement", "velocity", "reaction", "von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"
+]
 
 
 class Output(SceneModel):
