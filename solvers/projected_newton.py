@@ -246,8 +246,10 @@ def _is_rounding(problem: StepProblem, current: _Iterate, start: FloatArray, fac
     """Whether a residual is no more than what rounding may leave, and nothing that matters beside the forces."""
     if current.norm > factor * problem.roundoff_norm(current.x):
         return False
-    is_idle = problem.force_scale <= _IDLE * problem.roundoff_norm(start)
-    return is_idle or current.norm <= _NEGLIGIBLE * problem.force_scale
+    before = problem.roundoff_norm(start)
+    if current.norm <= factor * before:  # not the motion that made the estimate large (steel under its own weight)
+        return True
+    return problem.force_scale <= _IDLE * before or current.norm <= _NEGLIGIBLE * problem.force_scale
 
 
 def _ratio(norm: float, scale: float) -> float:

@@ -1,4 +1,4 @@
-"""Exact solutions to compare with: uniaxial stretch, beams, torsion, a rigid body in discrete time."""
+"""Uniaxial stretch between rollers: the closed form of every law, and what a scene makes of it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from femdeform.errors import InputError
 from femdeform.materials import lame_parameters
-
-# -------------------------------------------------------------------------------------------- uniaxial stretch
+from femdeform.scene import schema
+from verification.analytic.facts import block_size, elapsed, only_condition, only_material
 
 
 @dataclass(frozen=True)
@@ -136,106 +137,61 @@ def _stable_neo_hookean(mu: float, lmbda: float, a: float, dim: int) -> Uniaxial
     return UniaxialState(a, b, m * a + volume * (J - alpha) * J / a)
 
 
-# ----------------------------------------------------------------------------------------------------- beams
+# ------------------------------------------------------------------------------------------------------ of scenes
 
 
-@dataclass(frozen=True)
-class RectangularBeam:
-    """A straight beam with a rectangular cross-section, clamped at one end.
+def state_of(scene: schema.DeformableScene) -> UniaxialState:
+    """State of a block between rollers at the end of a run, pulled along x by a `translate` or by a `traction`.
 
-    Attributes
-    ----------
-    length, height, width : float
-        Height is in the direction of the load [m]. Width 1 in plane strain.
-    youngs_modulus : float
-        [Pa]
-    poisson_ratio : float
-        [-]
-    plane_strain : bool
-        No strain across the width: E / (1 - nu^2) in place of E.
-
-    References
-    ----------
-    S. P. Timoshenko, On the correction for shear of the differential equation for transverse vibrations of prismatic
-    bars, Philosophical Magazine 41 (1921). G. R. Cowper, The shear coefficient in Timoshenko's beam theory, Journal
-    of Applied Mechanics 33 (1966).
-
-    Limitations
-    -----------
-    Small deflections. A clamp that also holds the cross-section in its plane is stiffer than the theory's by a part
-    of order nu^2 height / length.
+    Raises
+    ------
+    InputError
+        If the scene is none of these, or no stretch belongs to the traction.
     """
-
-    length: float
-    height: float
-    width: float
-    youngs_modulus: float
-    poisson_ratio: float
-    plane_strain: bool = False
-
-    @property
-    def bending_stiffness(self) -> float:
-        """E I [N m^2]."""
-        modulus = self.youngs_modulus
-        if self.plane_strain:
-            modulus /= 1.0 - self.poisson_ratio**2
-        return modulus * self.width * self.height**3 / 12.0
-
-    @property
-    def shear_stiffness(self) -> float:
-        """Shear coefficient times G A [N], the coefficient of Cowper; in plane strain for nu / (1 - nu)."""
-        nu = self.poisson_ratio
-        shear_modulus = self.youngs_modulus / (2.0 * (1.0 + nu))
-        if self.plane_strain:
-            nu = nu / (1.0 - nu)
-        coefficient = 10.0 * (1.0 + nu) / (12.0 + 11.0 * nu)
-        return coefficient * shear_modulus * self.width * self.height
-
-    def bending_deflection(self, line_load: float) -> float:
-        """Deflection of the tip by Euler and Bernoulli under a uniform load [N/m], without shear [m]."""
-        return line_load * self.length**4 / (8.0 * self.bending_stiffness)
-
-    def tip_deflection(self, line_load: float = 0.0, tip_force: float = 0.0) -> float:
-        """Deflection of the tip by Timoshenko under a uniform load [N/m] and a force at the tip [N], in [m]."""
-        L, EI, kGA = self.length, self.bending_stiffness, self.shear_stiffness
-        uniform = line_load * (L**4 / (8.0 * EI) + L**2 / (2.0 * kGA))
-        return uniform + tip_force * (L**3 / (3.0 * EI) + L / kGA)
+    material, size = only_material(scene), block_size(scene)
+    law, E, nu, dim = material.law, material.youngs_modulus, material.poisson_ratio, len(size)
+    if any(condition.kind == "translate" for condition in scene.conditions):
+        motion = only_condition(scene, "translate")
+        return uniaxial_stretch(law, E, nu, 1.0 + motion.velocity[0] * elapsed(scene, motion) / size[0], dim)
+    return _state_under(law, E, nu, dim, only_condition(scene, "traction").value[0])
 
 
-def square_bar_torque(shear_modulus: float, side: float, twist: float) -> float:
-    """Torque [N m] of Saint-Venant's torsion of a bar of square section, ``twist`` in [rad/m].
+def _state_under(law: str, youngs_modulus: float, poisson_ratio: float, dim: int, stress: float) -> UniaxialState:
+    """State under a stress: the first stretch, on the way from rest, at which the closed form reaches it."""
+    from scipy.optimize import brentq
 
-    The series of the square, summed far enough that all digits of a double are right.
-    """
-    n = np.arange(1, 400, 2, dtype=np.float64)
-    constant = (1.0 - 192.0 / np.pi**5 * np.sum(np.tanh(n * np.pi / 2.0) / n**5)) / 3.0
-    return float(constant * shear_modulus * side**4 * twist)
+    def excess(stretch: float) -> float:
+        return uniaxial_stretch(law, youngs_modulus, poisson_ratio, stretch, dim).stress - stress
+
+    near, step = 1.0, 0.01 if stress > 0.0 else -0.01
+    while 0.1 < near < 10.0:
+        try:
+            passed = excess(near + step) * step >= 0.0
+        except ValueError:  # the sides vanish before the stress is reached
+            break
+        if passed:
+            stretch = brentq(excess, near, near + step, xtol=1e-15, rtol=1e-14)
+            return uniaxial_stretch(law, youngs_modulus, poisson_ratio, float(stretch), dim)
+        near += step
+    raise InputError(f"conditions: no stretch of {law} belongs to a stress of {stress:g} Pa")
 
 
-# --------------------------------------------------------------------------------------------------- rigid spin
+def uniaxial_reaction(scene: schema.DeformableScene) -> float:
+    """Force along x of the roller at the left end, opposite to the pull [N]."""
+    return -state_of(scene).stress * float(np.prod(block_size(scene)[1:]))
 
 
-def rigid_spin_angle(turn_per_step: float, n_steps: int) -> float:
-    """Angle that a rigid body turns by in steps of backward Euler, free of loads.
+def uniaxial_elongation(scene: schema.DeformableScene) -> float:
+    """Displacement of the pulled end along x [m]."""
+    return (state_of(scene).stretch - 1.0) * block_size(scene)[0]
 
-    Backward Euler projects 2 R_n - R_(n-1) onto the rotations: each increment is arctan(sin d / (2 - cos d)) of the
-    one before, the first arctan(w h). The continuous body turns by ``turn_per_step n_steps``.
 
-    Parameters
-    ----------
-    turn_per_step : float
-        Initial angular velocity times time step, w h [rad].
-    n_steps : int
-        Number of steps.
+def uniaxial_contraction(scene: schema.DeformableScene) -> float:
+    """Displacement along y of the side opposite the roller [m]."""
+    return (state_of(scene).lateral - 1.0) * block_size(scene)[1]
 
-    Returns
-    -------
-    float
-        [rad]
-    """
-    increment = float(np.arctan(turn_per_step))
-    total = 0.0
-    for _ in range(n_steps):
-        total += increment
-        increment = float(np.arctan2(np.sin(increment), 2.0 - np.cos(increment)))
-    return total
+
+def uniaxial_volume_ratio(scene: schema.DeformableScene) -> float:
+    """Deformed over reference volume [-]."""
+    state = state_of(scene)
+    return float(state.stretch * state.lateral ** (len(block_size(scene)) - 1))
