@@ -81,8 +81,8 @@ def _execute(argv: Sequence[str] | None) -> int:
             print("femdeform: interrupted", file=sys.stderr)
         return _INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output has gone (`femdeform schema | head`).
-        _is_output_lost()
+        # The reader of our output has gone (`femdeform schema | head`); Python would complain again at exit.
+        _drop_output()
         return _ENVIRONMENT
     except Exception as error:
         return _explain(error)
@@ -96,7 +96,8 @@ def _explain(error: Exception) -> int:
     from femdeform.run.failure import BUG_NOTE, exit_code, expected_error
 
     known = expected_error(error)
-    if isinstance(error, OSError) and _is_output_lost():
+    if isinstance(error, OSError) and error.filename is None and not _can_print():
+        _drop_output()
         known = output_error("to the standard output", error)
     if known is not None:
         _complain(known)
@@ -106,14 +107,16 @@ def _explain(error: Exception) -> int:
     return exit_code(error)
 
 
-def _is_output_lost() -> bool:
-    """Whether nothing can be written to the standard output; Python then does not try, and complain, again at exit."""
+def _can_print() -> bool:
     try:
-        sys.stdout.flush()
+        print(flush=True)  # what failed before is no longer in the buffer: it takes something to fail again
     except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return True
-    return False
+        return False
+    return True
+
+
+def _drop_output() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(error: FemdeformError) -> None:

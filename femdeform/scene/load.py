@@ -49,11 +49,10 @@ class Source:
     def fault(self, key: KeyPath, message: str) -> Fault:
         """Return a fault at a key, with the line or the override that it came from."""
         for length in range(len(key), 0, -1):
+            # What an override has replaced had lines of its own, further in: they say nothing any more.
             if key[:length] in self.origins:
                 return Fault(self.origins[key[:length]].source, 0, format_key(key), message)
-            if key[:length] in self.lines:
-                return Fault(self.file, self.lines[key[:length]], format_key(key), message)
-        return Fault(self.file, 1, format_key(key), message)
+        return Fault(self.file, self.line(key), format_key(key), message)
 
 
 @dataclass(frozen=True)
