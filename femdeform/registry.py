@@ -34,6 +34,11 @@ BENCHMARKS: dict[str, str] = {
     "run": "verification.benchmarks.run:run_benchmarks",
 }
 
+VERIFY: dict[str, str] = {
+    "run": "verification.verify:verify_command",
+    "list": "verification.verify:list_cases",
+}
+
 _PRESET_PACKAGE = "solvers"
 _OWN_PACKAGES = frozenset({"femdeform", "solvers", "meshes", "verification"})
 _EXTRAS = {"petsc4py": "petsc", "mpi4py": "petsc", "torch": "learned"}

@@ -78,7 +78,6 @@ class IncrementalPotential:
         conditions: Conditions,
         quasistatic: bool,
         contacts: Sequence[PenaltyContact] = (),
-        body_force: FloatArray | None = None,
     ) -> None:
         self.discretization = discretization
         self.conditions = conditions
@@ -87,7 +86,6 @@ class IncrementalPotential:
         self.partition: Partition = discretization.partition
         self.free = conditions.free
         self.dim = discretization.dim
-        self._body_force = body_force
 
         self.elastic = [ElasticEnergy(group) for group in discretization.groups]
         self.pressures = [FollowerPressure(load) for load in conditions.pressures]
@@ -140,8 +138,6 @@ class IncrementalPotential:
         self.conditions.dead_load(time, self.load)
         mass = self.discretization.row_mass if self.quasistatic else self._load_mass()
         self.load += mass[:, None] * self.conditions.acceleration(time)
-        if self._body_force is not None:
-            self.load += self._body_force
         for pressure in self.pressures:
             pressure.set_time(time)
 

@@ -136,7 +136,9 @@ def _located(loaded: LoadedScene, key: KeyPath, source: MeshSource, message: str
     word, colon, rest = message.removeprefix("mesh: ").partition(": ")
     if colon and word in type(source).model_fields:
         return loaded.fault((*key, word), rest)
-    return loaded.fault((*key, "file") if isinstance(source, FileMesh) else key, message)
+    if isinstance(source, FileMesh):
+        return loaded.fault((*key, "file"), f"{source.file}: {message}")
+    return loaded.fault(key, message)
 
 
 def _missing_file(loaded: LoadedScene, source: FileMesh) -> str:

@@ -18,6 +18,7 @@ from solvers.linear import coo
 from solvers.linear.interface import LinearResult
 
 _numbers = itertools.count()
+_OUT_OF_MEMORY = 55  # PETSC_ERR_MEM
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,8 @@ class KSP:
             self._x.set(0.0)
             self._solver.solve(self._b, self._x)
         except self._PETSc.Error as error:
+            if error.ierr == _OUT_OF_MEMORY:
+                raise MemoryError("PETSc") from None
             if self._checked:
                 return LinearResult(np.zeros_like(b), 0, False, f"PETSc: {_cause(error)}")
             # The first solve is where PETSc reads its options.
