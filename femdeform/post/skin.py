@@ -55,23 +55,23 @@ def dress(frame: Frame, skin: Skin) -> Frame:
     point_data = {name: np.concatenate([values, _follow(values, skin)]) for name, values in frame.point_data.items()}
     blocks: list[tuple[str, IntArray]] = []
     cell_data: dict[str, list[NDArray[Any]]] = {name: [] for name in frame.cell_data}
-    own: dict[str, NDArray[Any]] = {}
+    skin_data: dict[str, NDArray[Any]] = {}
     for k, (name, cells) in enumerate(frame.blocks):
         of_body = np.asarray(frame.cell_data["body"][k]) == skin.body
         chosen = np.flatnonzero(of_body)
         if chosen.size:
             bound = chosen[skin.cells[skin.triangles[:, 0]]]
-            own = {key: values[k][bound] for key, values in frame.cell_data.items()}
+            skin_data = {key: values[k][bound] for key, values in frame.cell_data.items()}
         rest = np.flatnonzero(~of_body)
         if rest.size:
             blocks.append((name, cells[rest]))
-            for key, values in frame.cell_data.items():
-                cell_data[key].append(values[k][rest])
-    if not own:
+            for key, blocks_of in frame.cell_data.items():
+                cell_data[key].append(blocks_of[k][rest])
+    if not skin_data:
         return frame
     blocks.append(("triangle", first + skin.triangles))
-    for key, values in own.items():
-        cell_data[key].append(values)
+    for key, of_triangles in skin_data.items():
+        cell_data[key].append(of_triangles)
     return replace(
         frame,
         points=np.concatenate([frame.points, skin.points]),

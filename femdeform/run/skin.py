@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -54,6 +55,7 @@ def bind_skins(simulation: Simulation, surfaces: Mapping[str, Mesh]) -> tuple[li
     Parameters
     ----------
     simulation : Simulation
+        The wired scene.
     surfaces : mapping of str to Mesh
         Triangles in space, by body.
 
@@ -102,7 +104,7 @@ def write_skins(folder: Path, skins: list[Skin]) -> None:
         return
     arrays = {f"{skin.body}_{name}": getattr(skin, name) for skin in skins for name in _ARRAYS}
     stream = BytesIO()
-    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(stream, **arrays)
     atomic.write_bytes(folder / FILE_NAME, stream.getvalue())
 
 
@@ -121,5 +123,5 @@ def read_skins(folder: Path) -> list[Skin]:
         with np.load(path) as arrays:
             bodies = sorted({int(name.partition("_")[0]) for name in arrays.files})
             return [Skin(body, *(arrays[f"{body}_{name}"] for name in _ARRAYS)) for body in bodies]
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise InputError([Fault(str(path), 0, "", f"the file is corrupt ({error})")]) from error

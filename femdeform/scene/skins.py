@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from femdeform import registry
 from femdeform.errors import Fault, InputError
 from femdeform.scene.load import LoadedScene, sort_faults
-from femdeform.scene.meshing import mesh_faults
+from femdeform.scene.meshing import build_source
 from femdeform.types import Mesh
 
 
 def load_skins(loaded: LoadedScene) -> dict[str, Mesh]:
     """Build the surface of every body that has a skin.
+
+    Parameters
+    ----------
+    loaded : LoadedScene
+        The scene.
+
+    Returns
+    -------
+    dict of str to Mesh
+        Triangles in 3D, by body.
 
     Raises
     ------
@@ -25,18 +34,15 @@ def load_skins(loaded: LoadedScene) -> dict[str, Mesh]:
             continue
         key = ("bodies", name, "skin")
         try:
-            found = mesh_faults(loaded, key, source)
-            if found:
-                faults += found
-                continue
-            mesh = registry.resolve(registry.MESH["build"])(source, loaded.base_dir)
+            mesh, _ = build_source(loaded, key, source, f"skin of body {name}")
         except InputError as error:
-            faults += [loaded.fault(key, fault.message) for fault in error.faults]
+            faults += error.faults
             continue
-        if mesh.cell_type != "triangle" or mesh.dim != 3:
-            faults.append(loaded.fault(key, f"a skin is made of triangles in 3D, not of {mesh.cell_type}s in {mesh.dim}D"))
-        else:
+        if (mesh.cell_type, mesh.dim) == ("triangle", 3):
             skins[name] = mesh
+        else:
+            found = {"line": "lines", "triangle": "triangles", "tetra": "tetrahedra"}[mesh.cell_type]
+            faults.append(loaded.fault(key, f"a skin is made of triangles in 3D, not of {found} in {mesh.dim}D"))
     if faults:
         raise InputError(sort_faults(faults))
     return skins
