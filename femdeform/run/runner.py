@@ -312,7 +312,7 @@ class _Run:
         self.n_frames += 1
 
     def _save(self, state: State) -> None:
-        """Write a checkpoint, and forget what the linear solver remembers: a resumed run starts without it too."""
+        """Write a checkpoint, and forget what the solvers remember: a resumed run starts without it too."""
         partition = self.simulation.discretization.partition
         x, v = partition.gather(state.x), partition.gather(state.v)
         if self.recorder is not None and x is not None and v is not None:
@@ -323,6 +323,7 @@ class _Run:
                     x, v, state.time, state.step, self.control.current, self.n_frames, self._seconds(), self.loaded.hash
                 ),
             )
+        self.simulation.solver.reset()
         self.simulation.linear_solver.reset()
         self.last_saved = state.step
 
@@ -353,6 +354,7 @@ class _Run:
         if self.last_saved != outcome.state.step:
             self._save(outcome.state)
         self._say_outcome(status, reason, outcome.state, verdicts)
+        self.simulation.solver.destroy()
         self.simulation.linear_solver.destroy()
         return code
 
@@ -432,13 +434,12 @@ class _Run:
         from femdeform.info import versions
 
         discretization = self.simulation.discretization
-        tolerance = self.scene.solver.tolerance
         return {
             "title": self.scene.title,
             "simulation": self.scene.simulation,
             "method": self.scene.solver.method,
             "linear_solver": self.simulation.linear_solver.name,
-            "residual_tolerance": f"{tolerance:g} of the forces of each step (column force_scale, N)",
+            "residual_tolerance": self.scene.solver.accuracy,
             "n_dofs": discretization.n_dofs,
             "n_cells": sum(mesh.n_cells for mesh in self.simulation.meshes.values()),
             "ranks": 1 if self.comm is None else self.comm.Get_size(),
