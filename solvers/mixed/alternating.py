@@ -45,6 +45,7 @@ class Alternating:
         self._known: list[tuple[FloatArray, list[FloatArray]]] = []
         self._values: FloatArray | None = None
         self._rows = (math.nan, math.nan)
+        self._is_scaled = False
 
     def reset(self) -> None:
         """Forget the stretches: the next step takes those of its positions."""
@@ -61,6 +62,10 @@ class Alternating:
             group.begin(None if known is None else known[k], state.x)
         start = (state.x.copy(), [group.S.copy() for group in self.groups])
         x = problem.predictor(state)
+        if not self._is_scaled:
+            # The magnitude by which rounding is judged comes from a whole Hessian, which this scheme need not make.
+            problem.hessian(state.x, project=True)
+            self._is_scaled = True
         problem.settle_force_scale(x)
         alpha, iteration, linear_iterations = options.beta, 0, 0
 
