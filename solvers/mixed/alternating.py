@@ -16,8 +16,10 @@ from solvers.linear.kkt import SaddleSolver
 from solvers.linear.kkt_system import SaddleSystem
 from solvers.mixed.local_state import LocalState
 
-# A step that promises less than this fraction of the energies that cancel in Phi is taken as it is.
+# A step that promises less than this fraction of the energies that cancel in Phi is taken as it is, and a rise of Phi by
+# less than the second is rounding.
 _FLAT = 1e-8
+_ROUNDING = 1e-15
 
 
 class Alternating:
@@ -204,7 +206,8 @@ class Alternating:
         for _ in range(1 + search.max_backtracks):
             x = begin + length * change
             reached = problem.value(x)
-            is_lower = not reached > value + search.armijo * length * min(slope, 0.0) + _FLAT * _FLAT * magnitude
+            allowed = value + search.armijo * length * min(slope, 0.0) + _ROUNDING * magnitude
+            is_lower = reached <= allowed
             is_flat = abs(slope) * length <= _FLAT * magnitude
             if math.isfinite(reached) and (is_lower or is_flat or not math.isfinite(value)):
                 for group, goal in zip(self.groups, goals, strict=True):
