@@ -77,7 +77,5 @@ class MixedCells:
         n_q, k = g.weights.shape[1], len(self._nodes) * len(self._dim)
         B = np.empty((g.n_cells, n_q, self.n_modes, k))
         C = np.empty((g.n_cells, n_q, self.n_modes, self.n_modes))
-        self._kernels.cell_rows(
-            x, g.cells, g.gradients, g.weights, g.law, self.floor, self._dim, self._nodes, B, C
-        )
+        self._kernels.cell_rows(x, g.cells, g.gradients, g.weights, g.law, self.floor, self._dim, self._nodes, B, C)
         return B, C

@@ -105,10 +105,7 @@ class SaddleSolver:
         layout, matrix = self._layout, self._matrix
         assert matrix is not None
         free = system.A.free
-        B = [
-            b * free[cells].reshape(len(cells), 1, 1, -1)
-            for b, cells in zip(system.B, system.cells, strict=True)
-        ]
+        B = [b * free[cells].reshape(len(cells), 1, 1, -1) for b, cells in zip(system.B, system.cells, strict=True)]
         values = layout.values(system, B, system.C)
         b = layout.join(b1, b2)
         if layout.partition.max(float(not (np.isfinite(values).all() and np.isfinite(b).all()))):

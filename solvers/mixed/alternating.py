@@ -16,8 +16,8 @@ from solvers.linear.kkt import SaddleSolver
 from solvers.linear.kkt_system import SaddleSystem
 from solvers.mixed.local_state import LocalState
 
-# A step that promises less than this fraction of the energies that cancel in Phi is taken as it is; a rise of Phi by less
-# than the second is rounding.
+# A step that promises less than this fraction of the energies that cancel in Phi is taken as it is. A rise by less than
+# the second is rounding.
 _FLAT = 1e-8
 _ROUNDING = 1e-15
 

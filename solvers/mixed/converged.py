@@ -62,6 +62,7 @@ class MixedRule:
         self._set_twists(problem, x, matrix)
         exact = matrix == "exact"
         if self.saddle is None:
+
             def whole(k: int, blocks: FloatArray, first: int) -> None:
                 self.cells[k].hessian(x, exact, False, blocks, first)
 

@@ -213,9 +213,7 @@ def condensed_multipliers(
 
 
 @njit(parallel=True)
-def full_compliances(
-    weights: Any, R: Any, V: Any, inverse: Any, flips: Any, eps: Any, dim: Any, C: Any
-) -> None:
+def full_compliances(weights: Any, R: Any, V: Any, inverse: Any, flips: Any, eps: Any, dim: Any, C: Any) -> None:
     """V (W H^-1 W^T + eps) for nine multipliers a point (four in 2D), into C (n_cells, n_q, d*d, d*d)."""
     d = len(dim)
     for e in prange(weights.shape[0]):
@@ -278,9 +276,7 @@ def symmetric_multipliers(y: Any, R: Any, V: Any, dim: Any, L: Any) -> None:
 
 
 @njit(parallel=True)
-def update_stretches(
-    S: Any, R: Any, L: Any, V: Any, inverse: Any, flips: Any, psi: Any, dim: Any, out: Any
-) -> None:
+def update_stretches(S: Any, R: Any, L: Any, V: Any, inverse: Any, flips: Any, psi: Any, dim: Any, out: Any) -> None:
     """S + H^-1 (sym(R^T L) - g) into `out` (n_cells, n_q, d*d)."""
     d = len(dim)
     for e in prange(S.shape[0]):
