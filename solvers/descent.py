@@ -21,6 +21,11 @@ _FLAT_BACKTRACKS = 6
 # A full step that reduces the residual at least to this part is taken for a neighbourhood of the solution. Clamped
 # Hessians converge linearly, under compression slowly: to ask for more would keep the exact one away for ever.
 _SETTLED = 0.95
+# A residual is put down to rounding only where it is small beside the forces: a body that runs away from its supports
+# makes the positions, and with them the estimate of rounding, as large as one likes. The forces themselves count as
+# rounding (a body at rest) below this multiple of the estimate.
+_NEGLIGIBLE = 1e-6
+_IDLE = 100.0
 
 # Matrices a rule may be asked for. `definite` descends by construction; `exact` is the Hessian of Phi as it is;
 # `spread` is the definite Hessian of projected Newton, which carries the motion of supports into the body.
@@ -135,7 +140,7 @@ class Descent:
             if current.norm <= self.tolerance * problem.force_scale:
                 return result(True, "residual below tolerance")
             # The level of rounding is an estimate: it ends a step only once the residual falls no further.
-            if current.norm > 0.25 * previous_norm and current.norm <= problem.roundoff_norm(current.x):
+            if current.norm > 0.25 * previous_norm and _is_rounding(problem, current, first.x, 1.0):
                 return result(True, "residual at the level of rounding")
             spent = budget.spent(iteration)
             if spent is not None:
@@ -157,7 +162,7 @@ class Descent:
                     break
             assert direction is not None
             if found is None:
-                if current.norm <= 10.0 * problem.roundoff_norm(current.x):
+                if _is_rounding(problem, current, first.x, 10.0):
                     return result(True, "residual at the level of rounding")
                 return result(False, "the line search failed" if direction.usable else direction.reason)
 
@@ -219,6 +224,16 @@ class Descent:
                 return length, self._evaluate(problem, x)
             length *= search.shrink
         return length, None
+
+
+def _is_rounding(problem: StepProblem, current: Iterate, start: FloatArray, factor: float) -> bool:
+    """Whether a residual is no more than what rounding may leave, and nothing that matters beside the forces."""
+    if current.norm > factor * problem.roundoff_norm(current.x):
+        return False
+    before = problem.roundoff_norm(start)
+    if current.norm <= factor * before:  # not the motion that made the estimate large (steel under its own weight)
+        return True
+    return problem.force_scale <= _IDLE * before or current.norm <= _NEGLIGIBLE * problem.force_scale
 
 
 def ratio(norm: float, scale: float) -> float:

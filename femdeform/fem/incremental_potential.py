@@ -100,6 +100,7 @@ class IncrementalPotential:
         self._slots = np.empty((self._sum.n_slots, self.dim))
         self._blocks: FloatArray | None = None
         self._values: FloatArray | None = None
+        self._part_values: FloatArray | None = None
         self._diagonal = np.empty((n, self.dim * self.dim))
         mass = discretization.consistent_mass
         self._mass_scalars = np.empty(0) if mass is None or quasistatic else self.pattern.block_scalars(mass)
@@ -247,7 +248,7 @@ class IncrementalPotential:
         project: bool,
         free: np.ndarray | None = None,
         elastic: Callable[[int, FloatArray, int], None] | None = None,
-        values: FloatArray | None = None,
+        is_part: bool = False,
     ) -> SparseHessian:
         """Hessian of Phi, every cell's part clamped to positive semi-definite if `project`.
 
@@ -262,9 +263,9 @@ class IncrementalPotential:
         elastic : callable, optional
             Writes the cell blocks of the elastic terms in their place: called with the number of the term, the
             buffer (n_slots, dim^2) and the term's first row in it.
-        values : (n_values,) float64, optional
-            Buffer for the result, where only a part of the Hessian is asked for: the magnitude by which rounding is
-            judged stays that of the last whole one.
+        is_part : bool
+            `elastic` gives only a part of the Hessian: it goes to a buffer of its own, and the magnitude by which
+            rounding is judged stays that of the last whole one.
 
         Returns
         -------
@@ -274,10 +275,13 @@ class IncrementalPotential:
         dim = self.dim
         if self._blocks is None:
             self._blocks = np.empty((self.pattern.n_slots, dim * dim))
+        values = self._part_values if is_part else self._values
         if values is None:
-            if self._values is None:
-                self._values = np.empty(self.pattern.n_values)
-            values = self._values
+            values = np.empty(self.pattern.n_values)
+            if is_part:
+                self._part_values = values
+            else:
+                self._values = values
         for k, (term, first) in enumerate(zip(self._terms, self.pattern.first_slot, strict=True)):
             if elastic is not None and k < len(self.elastic):
                 elastic(k, self._blocks, first)

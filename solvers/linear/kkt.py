@@ -51,7 +51,7 @@ class SaddleResult:
 
 
 class SaddleSolver:
-    """Saddle systems with the same sparsity, again and again.
+    """Saddle systems, again and again; matrices are made anew when the sparsity of A changes.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class SaddleSolver:
 
     Limitations
     -----------
-    The sparsity must not change during the life of an object. ``kkt_cg`` asks for definite A and for the A and B of
+    The cells must not change during the life of an object. ``kkt_cg`` asks for definite A and for the A and B of
     its preconditioner to be those of the system: it is factorised again when they change.
     """
 
@@ -84,6 +84,7 @@ class SaddleSolver:
         self.max_iterations = max_iterations
         self._use_petsc = use_petsc
         self._layout: Layout | None = None
+        self._columns: np.ndarray | None = None  # the sparsity that the matrices were made for
         self._matrix: SaddleMatrix | None = None
         self._constant: SaddleMatrix | None = None
         self._constant_values: FloatArray | None = None
@@ -96,7 +97,9 @@ class SaddleSolver:
 
         `C0` holds the compliances of the preconditioner of ``kkt_cg``.
         """
-        if self._layout is None:
+        if self._layout is None or self._columns is not system.A.columns:
+            self.destroy()
+            self._columns = system.A.columns
             self._layout = Layout(system)
             rows, columns = self._layout.coordinates(system)
             self._matrix = make_matrix(self._use_petsc, self._layout, rows, columns)
@@ -283,4 +286,4 @@ class SaddleSolver:
         for matrix in (self._matrix, self._constant):
             if matrix is not None:
                 matrix.destroy()
-        self._matrix = self._constant = self._layout = None
+        self._matrix = self._constant = self._layout = self._constant_values = None

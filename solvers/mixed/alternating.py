@@ -45,7 +45,6 @@ class Alternating:
         self.groups = [LocalState(term.group, options) for term in problem.elastic]
         # Stretches that belong to accepted positions: those of the step before, and of its start in case it is retried.
         self._known: list[tuple[FloatArray, list[FloatArray]]] = []
-        self._values: FloatArray | None = None
         self._rows = (math.nan, math.nan)
         self._is_scaled = False
 
@@ -146,14 +145,12 @@ class Alternating:
         b = -np.where(problem.free, problem.full_gradient(x, elastic=False), 0.0)
         if self.saddle is None:
             return self._condensed(problem, x, b)
-        if self._values is None:
-            self._values = np.empty(problem.pattern.n_values)
 
         def nothing(k: int, blocks: FloatArray, first: int) -> None:
             n = self.groups[k].group.cells.shape[1]
             blocks[first : first + self.groups[k].group.n_cells * n * (n + 1) // 2] = 0.0
 
-        A = problem.hessian(x, project=True, elastic=nothing, values=self._values)
+        A = problem.hessian(x, project=True, elastic=nothing, is_part=True)
         parts = [group.saddle() for group in self.groups]
         system = SaddleSystem(
             A,

@@ -42,7 +42,6 @@ class MixedRule:
         self.saddle = saddle
         self.cells = cells
         self._at: FloatArray | None = None  # where the last matrix was made
-        self._values: FloatArray | None = None
         self._twisted = 0
         self._rows = (float("nan"), float("nan"))
 
@@ -71,9 +70,7 @@ class MixedRule:
         def rest(k: int, blocks: FloatArray, first: int) -> None:
             self.cells[k].hessian(x, exact, True, blocks, first)
 
-        if self._values is None:
-            self._values = np.empty(problem.pattern.n_values)
-        A = problem.hessian(x, project=not exact, elastic=rest, values=self._values)
+        A = problem.hessian(x, project=not exact, elastic=rest, is_part=True)
         pairs = [cells.rows(x) for cells in self.cells]
         system = SaddleSystem(
             A,
