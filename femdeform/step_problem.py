@@ -104,8 +104,8 @@ class StepProblem(Protocol):
     def gradient(self, x: FloatArray) -> FloatArray:
         """Residual [N], zero at prescribed degrees of freedom."""
 
-    def full_gradient(self, x: FloatArray) -> FloatArray:
-        """Gradient of Phi at every degree of freedom [N]."""
+    def full_gradient(self, x: FloatArray, elastic: bool = True) -> FloatArray:
+        """Gradient of Phi at every degree of freedom [N]; without the elastic energy's if not `elastic`."""
 
     def hessian(self, x: FloatArray, project: bool) -> Any:
         """Hessian for a `LinearSolver`; positive semi-definite cell by cell if `project`."""
@@ -136,7 +136,7 @@ class StepResult:
     Attributes
     ----------
     x : (n_local, dim) float64
-        Last positions [m]; a time loop uses them only if `converged`.
+        Last positions [m]; a time loop uses them only if `accepted`.
     converged : bool
         Whether the residual is below its tolerance.
     reason : str
@@ -147,6 +147,9 @@ class StepResult:
         Residual at `x` [N].
     relative_residual : float
         The same over `StepProblem.force_scale` [-].
+    is_fixed_work : bool
+        The solver did the work it was asked for and no tolerance was promised: an interactive scheme, whose steps are
+        taken whatever their residual is.
     """
 
     x: FloatArray
@@ -156,6 +159,12 @@ class StepResult:
     linear_iterations: int
     residual_norm: float
     relative_residual: float
+    is_fixed_work: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a time loop goes on from `x`."""
+        return self.converged or self.is_fixed_work
 
 
 class StepSolver(Protocol):
@@ -184,3 +193,9 @@ class StepSolver(Protocol):
         StepResult
             Nothing is raised if the step does not converge.
         """
+
+    def reset(self) -> None:
+        """Forget what was learnt in earlier steps: the next one depends on its state alone."""
+
+    def destroy(self) -> None:
+        """Free what the solver holds besides its linear solver."""

@@ -6,7 +6,7 @@ Backward Euler: ``Phi(x) = 1/(2 h^2) |x - x_hat|_M^2 + PE(x) - f.x`` with ``x_ha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,6 +98,7 @@ class IncrementalPotential:
         self._slots = np.empty((self._sum.n_slots, self.dim))
         self._blocks: FloatArray | None = None
         self._values: FloatArray | None = None
+        self._part_values: FloatArray | None = None
         self._diagonal = np.empty((n, self.dim * self.dim))
         mass = discretization.consistent_mass
         self._mass_scalars = np.empty(0) if mass is None or quasistatic else self.pattern.block_scalars(mass)
@@ -153,6 +154,18 @@ class IncrementalPotential:
         self.conditions.set_prescribed(self.time, x)
         return x
 
+    def predictor(self, state: State) -> FloatArray:
+        """Positions that inertia and dead loads alone would give, with the prescribed values of the step.
+
+        ``x + h v + h^2 M^-1 f`` with the lumped mass; quasistatic: as `initial_guess`.
+        """
+        if self.quasistatic:
+            return self.initial_guess(state)
+        x = self._x_hat + self.dt**2 / self.discretization.lumped_mass[:, None] * self.load
+        x = np.where(self.free, x, state.x)
+        self.conditions.set_prescribed(self.time, x)
+        return x
+
     def linearize_at(self, x: FloatArray) -> None:
         """Tell terms without a potential that a line search will start from `x`."""
         for pressure in self.pressures:
@@ -185,10 +198,13 @@ class IncrementalPotential:
         self.value_magnitude = sum(abs(part) for part in parts)
         return sum(parts)
 
-    def internal_forces(self, x: FloatArray) -> FloatArray:
+    def internal_forces(self, x: FloatArray, elastic: bool = True) -> FloatArray:
         """Gradient of the elastic energy and of pressure and contact [N], (n_local, dim), no inertia, no dead load."""
         for k, term in enumerate(self._terms):
-            term.gradient(x, self._slots, self._first_row[k])
+            if elastic or k >= len(self.elastic):
+                term.gradient(x, self._slots, self._first_row[k])
+            else:
+                self._slots[self._first_row[k] : self._first_row[k + 1]] = 0.0
         out = np.empty((self.discretization.n_nodes, self.dim))
         self._sum(self._slots, out)
         for contact in self.contacts:
@@ -196,9 +212,24 @@ class IncrementalPotential:
         self.partition.accumulate(out)
         return out
 
-    def full_gradient(self, x: FloatArray) -> FloatArray:
-        """Gradient of Phi at every degree of freedom [N]; minus the reaction where it is prescribed."""
-        out = self.internal_forces(x) - self.load
+    def slots_of(self, k: int) -> tuple[FloatArray, int]:
+        """Buffer (n_slots, dim) for nodal forces of cells and the first row of elastic term k in it."""
+        return self._slots, int(self._first_row[k])
+
+    def sum_elastic_slots(self) -> FloatArray:
+        """Sum at the nodes what was written to the rows of the elastic terms [N], (n_local, dim)."""
+        self._slots[self._first_row[len(self.elastic)] :] = 0.0
+        out = np.empty((self.discretization.n_nodes, self.dim))
+        self._sum(self._slots, out)
+        self.partition.accumulate(out)
+        return out
+
+    def full_gradient(self, x: FloatArray, elastic: bool = True) -> FloatArray:
+        """Gradient of Phi at every degree of freedom [N]; minus the reaction where it is prescribed.
+
+        `elastic` = False leaves the elastic forces out.
+        """
+        out = self.internal_forces(x, elastic) - self.load
         if not self.quasistatic:
             out += self.apply_mass(x - self._x_hat) / self.dt**2
         return out
@@ -207,7 +238,14 @@ class IncrementalPotential:
         """Residual [N]: the gradient of Phi, zero at prescribed degrees of freedom; (n_local, dim)."""
         return np.where(self.free, self.full_gradient(x), 0.0)
 
-    def hessian(self, x: FloatArray, project: bool, free: np.ndarray | None = None) -> SparseHessian:
+    def hessian(
+        self,
+        x: FloatArray,
+        project: bool,
+        free: np.ndarray | None = None,
+        elastic: Callable[[int, FloatArray, int], None] | None = None,
+        is_part: bool = False,
+    ) -> SparseHessian:
         """Hessian of Phi, every cell's part clamped to positive semi-definite if `project`.
 
         Parameters
@@ -218,6 +256,12 @@ class IncrementalPotential:
             Clamp, so that the matrix is positive definite wherever inertia or supports leave no free mode.
         free : (n_local, dim) bool, optional
             Degrees of freedom whose rows and columns to keep; default: those of the problem.
+        elastic : callable, optional
+            Writes the cell blocks of the elastic terms in their place: called with the number of the term, the
+            buffer (n_slots, dim^2) and the term's first row in it.
+        is_part : bool
+            `elastic` gives only a part of the Hessian: it goes to a buffer of its own, and the magnitude by which
+            rounding is judged stays that of the last whole one.
 
         Returns
         -------
@@ -225,11 +269,20 @@ class IncrementalPotential:
             Its values are a buffer that the next call overwrites.
         """
         dim = self.dim
-        if self._blocks is None or self._values is None:
+        if self._blocks is None:
             self._blocks = np.empty((self.pattern.n_slots, dim * dim))
-            self._values = np.empty(self.pattern.n_values)
-        for term, first in zip(self._terms, self.pattern.first_slot, strict=True):
-            term.hessian(x, project, self._blocks, first)
+        values = self._part_values if is_part else self._values
+        if values is None:
+            values = np.empty(self.pattern.n_values)
+            if is_part:
+                self._part_values = values
+            else:
+                self._values = values
+        for k, (term, first) in enumerate(zip(self._terms, self.pattern.first_slot, strict=True)):
+            if elastic is not None and k < len(self.elastic):
+                elastic(k, self._blocks, first)
+            else:
+                term.hessian(x, project, self._blocks, first)
         self._diagonal[:] = 0.0
         if not self.quasistatic and self._mass_scalars.size == 0:
             self._diagonal[:, :: dim + 1] = (self.discretization.lumped_mass / self.dt**2)[:, None]
@@ -247,12 +300,12 @@ class IncrementalPotential:
             mask.view(np.uint8),
             self.partition.n_owned,
             (0,) * dim,
-            self._values,
+            values,
         )
         return SparseHessian(
             self.pattern.dof_row_offsets,
             self.pattern.dof_columns,
-            self._values,
+            values,
             self.discretization.points,
             mask,
             self.partition,

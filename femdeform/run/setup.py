@@ -54,6 +54,16 @@ class Simulation:
     state: State
     notices: list[str] = field(default_factory=list)
 
+    def reset(self) -> None:
+        """Let the solvers forget what they learnt: the next step depends on its state alone."""
+        self.solver.reset()
+        self.linear_solver.reset()
+
+    def destroy(self) -> None:
+        """Free what the solvers hold."""
+        self.solver.destroy()
+        self.linear_solver.destroy()
+
 
 def body_input(name: str, body: Any, mesh: Mesh) -> BodyInput:
     """Collect what the discretization needs of one body of a scene.
