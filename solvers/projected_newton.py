@@ -12,6 +12,7 @@ from femdeform.scene.schema import ProjectedNewtonSolver
 from femdeform.step_problem import Budget, IterationObserver, StepProblem, StepResult
 from femdeform.types import FloatArray
 from solvers.linear.interface import LinearSolver
+from solvers.support_motion import RELAXATIONS, carry_supports
 
 # Phi is a sum of terms that cancel. Where a step promises less than this fraction of them, the residual judges it,
 # because differences of Phi may be rounding; so short a way from the solution few backtracks make sense.
@@ -29,17 +30,6 @@ class _Iterate:
     x: FloatArray
     residual: FloatArray
     norm: float
-
-
-@dataclass(frozen=True)
-class _First:
-    """Where the iteration starts, and what the way there took: one iteration if the supports move, else none."""
-
-    x: FloatArray
-    objective: float  # before the motion was spread
-    length: float
-    iterations: int
-    linear_iterations: int
 
 
 @dataclass(frozen=True)
@@ -62,7 +52,8 @@ class ProjectedNewton:
     eigensystem, which makes dx a descent direction; with ``adaptive`` the exact Hessian takes over once full steps
     reduce the residual, for quadratic convergence, and is given up for the clamped one in any iteration where its
     direction does not descend. Prescribed positions enter by a first linearised step that spreads their motion over
-    the body instead of crushing the elements at the support.
+    the body instead of crushing the elements at the support (`solvers.support_motion`). Where contact bounds the
+    length of a step, backtracking starts from that bound.
 
     Parameters
     ----------
@@ -111,7 +102,7 @@ class ProjectedNewton:
             `converged` is False, with the reason, if the tolerance was not reached; nothing is raised for that.
         """
         budget = Budget() if budget is None else budget
-        first = self._first_iterate(problem, state)
+        first = carry_supports(problem, state, self.linear_solver, lambda x: self._relax(problem, x))
         current = self._evaluate(problem, first.x)
         problem.settle_force_scale(first.x)
         previous_norm, previous_length = math.inf, 0.0
@@ -138,6 +129,8 @@ class ProjectedNewton:
             }
             observe(row, current.x)
 
+        if first.failure:
+            return result(False, first.failure)
         if first.iterations:
             report(first.objective, first.length, first.linear_iterations, True)
         while True:
@@ -184,24 +177,21 @@ class ProjectedNewton:
         residual = problem.gradient(x)
         return _Iterate(x, residual, problem.residual_norm(residual))
 
-    def _first_iterate(self, problem: StepProblem, state: Any) -> _First:
-        """Positions that carry the prescribed motion of the step."""
-        guess = problem.initial_guess(state)
-        motion = guess - state.x
-        if problem.partition.max(float(np.abs(motion).max(initial=0.0))) == 0.0:
-            return _First(guess, math.nan, 0.0, 0, 0)
-        force = problem.full_gradient(state.x) + problem.hessian_times(state.x, motion)
-        answer = self.linear_solver.solve(
-            problem.hessian(state.x, project=True), -np.where(problem.free, force, 0.0)
-        )
-        problem.linearize_at(state.x)
-        objective = problem.value(guess)
-        if answer.converged:
-            spread = guess + np.where(problem.free, answer.x, 0.0)
-            value = problem.value(spread)
-            if math.isfinite(value) and not objective < value:
-                return _First(spread, objective, 1.0, 1, answer.iterations)
-        return _First(guess, objective, 0.0, 1, answer.iterations)
+    def _relax(self, problem: StepProblem, x: FloatArray) -> tuple[FloatArray, int, int]:
+        """A few iterations with the supports where they are: positions, iterations, linear iterations."""
+        current, linear_iterations = self._evaluate(problem, x), 0
+        for iteration in range(RELAXATIONS):
+            problem.linearize_at(current.x)
+            value, magnitude = problem.value(current.x), problem.value_magnitude
+            direction = self._direction(problem, current, project=True)
+            linear_iterations += direction.iterations
+            if not direction.usable:
+                return current.x, iteration, linear_iterations
+            _, found = self._line_search(problem, current, direction, value, magnitude)
+            if found is None:
+                return current.x, iteration, linear_iterations
+            current = found
+        return current.x, RELAXATIONS, linear_iterations
 
     def _direction(self, problem: StepProblem, current: _Iterate, project: bool) -> _Direction:
         answer = self.linear_solver.solve(problem.hessian(current.x, project), -current.residual)

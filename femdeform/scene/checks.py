@@ -10,6 +10,7 @@ import numpy as np
 from femdeform import registry
 from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
+from femdeform.scene.contact_checks import contact_findings
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
@@ -46,6 +47,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *_dimension_findings(loaded.scene, meshes),
         *_selection_findings(loaded.scene, meshes, frozenset(coarse)),
         *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
+        *contact_findings(loaded.scene, meshes, frozenset(coarse)),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
     ]
