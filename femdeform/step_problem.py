@@ -131,7 +131,7 @@ class StepProblem(Protocol):
         """Residual that rounding alone leaves [N]."""
 
     def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
-        """Largest admissible part of a step, in (0, 1], with `drift` of the obstacles' motion along the whole of it."""
+        """Largest admissible part of a step, in [0, 1], with `drift` of the obstacles' motion along the whole of it."""
 
 
 @dataclass(frozen=True)

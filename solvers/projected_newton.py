@@ -214,6 +214,8 @@ class ProjectedNewton:
         """Step length and the iterate there; None if no admissible length gives a decrease."""
         search = self.options.line_search
         length = problem.max_step(current.x, direction.step)
+        if length <= 0.0:
+            return 0.0, None
         is_flat = -direction.slope <= _FLAT * magnitude
         for _ in range(1 + (_FLAT_BACKTRACKS if is_flat else search.max_backtracks)):
             x = current.x + length * direction.step

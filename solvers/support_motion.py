@@ -16,6 +16,8 @@ from solvers.linear.interface import LinearSolver
 # Portions into which contact may break the motion of a step. What it lets through each time is about nine tenths of
 # the narrowest gap; after this many a smaller time step is the better way.
 _PORTIONS = 40
+# Portions of less than this part of the motion, one after another, after which there is no way.
+_STUCK = (1e-3, 3)
 # Halvings of a portion at whose end a material is not defined.
 _HALVINGS = 20
 # Iterations that let bodies give way between two portions.
@@ -92,7 +94,7 @@ def carry_supports(
             return FirstIterate(guess, objective, 0.0, 1, linear_iterations)
         problem.place_obstacles(0.0)
 
-    x, left, iterations = state.x, 1.0, 0
+    x, left, iterations, stuck = state.x, 1.0, 0, 0
     for portion in range(_PORTIONS):
         if portion > 0:
             motion = np.where(problem.free, 0.0, guess - x)
@@ -103,16 +105,21 @@ def carry_supports(
             break
         before = 1.0 - left
         for _ in range(_HALVINGS):
-            ahead = guess + response if part == 1.0 else x + part * (motion + response)
+            ahead = x + part * (motion + response)
+            if part == 1.0:
+                ahead = np.where(problem.free, ahead, guess)
             problem.place_obstacles(before + part * left)
             if math.isfinite(problem.value(ahead)):
                 break
             part *= 0.5
         else:
             break
+        stuck = stuck + 1 if part * left < _STUCK[0] else 0
         x, left, iterations = ahead, left * (1.0 - part), iterations + 1
-        if left == 0.0:
+        if part == 1.0:
             return FirstIterate(x, math.nan, 1.0, iterations, linear_iterations)
+        if stuck == _STUCK[1]:
+            break
         x, relaxations, linear = relax(x)
         iterations += relaxations
         linear_iterations += linear

@@ -25,6 +25,8 @@ from femdeform.types import BoolArray, FloatArray
 
 # A position this close to the checked way, relative to the size of the coordinates, is on it.
 _ON_THE_WAY = 1e-13
+# Smallest gap that a step may leave, in d_hat: below it collision detection would be lost in rounding.
+_CLOSEST = 1e-6
 # Longest step that is searched for collisions, in diagonals of the bodies' bounding box: longer ones are cut.
 _LONGEST = 0.5
 
@@ -179,11 +181,9 @@ class IPCContact:
         return self._candidates
 
     def _free_part(self, start: FloatArray, end: FloatArray) -> float:
-        return float(
-            self._search(start, end).compute_collision_free_stepsize(
-                self.mesh, start, end, self.offset, self._narrow_phase
-            )
-        )
+        closest = self.offset + _CLOSEST * self.reach
+        candidates = self._search(start, end)
+        return float(candidates.compute_collision_free_stepsize(self.mesh, start, end, closest, self._narrow_phase))
 
     def _build(self, vertices: FloatArray) -> Any:
         """Active collisions at a position; those of the last one are kept."""
@@ -216,7 +216,7 @@ class IPCContact:
         return False
 
     def max_step(self, x: FloatArray, step: FloatArray) -> float:
-        """Largest part in (0, 1] of a step that is free of collisions; the way is remembered as checked."""
+        """Largest part in [0, 1] of a step that is free of collisions; the way is remembered as checked."""
         start, move = self._vertices(x), self._vertices(step)
         if not self._can_be(start):
             return 1.0  # the energy is infinite at `x` already

@@ -156,10 +156,7 @@ def _body_findings(surface: CollisionSurface, numbers: ContactNumbers) -> list[I
     collisions.build(mesh, vertices, numbers.reach, numbers.offset)
     if collisions.empty():
         return []
-    distances = [c.compute_distance(vertices, mesh.edges, mesh.faces) for c in map(collisions.__getitem__, _all(collisions))]
-    nearest = collisions[int(np.argmin(distances))]
-    ids = [i for i in nearest.vertex_ids(mesh.edges, mesh.faces) if i >= 0]
-    gap = float(np.sqrt(min(distances)))
+    ids, gap = _nearest(mesh, collisions, vertices)
     where = _at(vertices[ids].mean(axis=0))
     # The first vertex is of one side, the last of the other.
     if gap <= numbers.offset:
@@ -176,8 +173,16 @@ def _body_findings(surface: CollisionSurface, numbers: ContactNumbers) -> list[I
     return []
 
 
-def _all(collisions: Any) -> range:
-    return range(len(collisions))
+def _nearest(mesh: Any, collisions: Any, vertices: FloatArray) -> tuple[list[int], float]:
+    """Vertices and distance of the closest pair.
+
+    ipctk's single collisions point into the set they are of: none of them may outlive it, so none leaves this function.
+    """
+    edges, faces = mesh.edges, mesh.faces
+    distances = [collisions[k].compute_distance(vertices, edges, faces) for k in range(len(collisions))]
+    closest = int(np.argmin(distances))
+    ids = [i for i in collisions[closest].vertex_ids(edges, faces) if i >= 0]
+    return ids, float(np.sqrt(distances[closest]))
 
 
 def _between(surface: CollisionSurface, first: int, second: int, how: str) -> InitialFinding:

@@ -10,6 +10,8 @@ from femdeform.types import FloatArray, IntArray
 
 # A step may close the gap of a node down to this part.
 _KEPT = 0.1
+# Smallest gap that a step may leave, in d_hat.
+_CLOSEST = 1e-6
 # Advancements towards an obstacle; each is safe, later ones only lengthen the step.
 _ADVANCES = 40
 
@@ -165,7 +167,9 @@ class ObstacleBarrier:
             out[self.nodes[self._rubbing]] += self._friction_blocks(x) @ motion
 
     def max_step(self, x: FloatArray, step: FloatArray, drift: float) -> float:
-        """Largest part of `step` that leaves every node a tenth of its gap, by conservative advancement.
+        """Largest part in [0, 1] of `step` that leaves every node a tenth of its gap, by conservative advancement.
+
+        `drift` is the part of the obstacle's motion over the time step that goes along with the whole of `step`.
 
         Along a line the distance from a convex obstacle is convex, so its tangent never overshoots; inside a bowl it
         is concave, and its chord never does.
@@ -179,7 +183,7 @@ class ObstacleBarrier:
         if chosen.size == 0:
             return 1.0
         start, move, normal = start[chosen], move[chosen], normal[chosen]
-        floor = self.offset[chosen] + _KEPT * gap[chosen]
+        floor = self.offset[chosen] + np.maximum(_KEPT * gap[chosen], _CLOSEST * self.reach)
         distance = distance[chosen]
         length = np.zeros(chosen.size)
         end = self.shape.distance(start + move)[0]

@@ -58,4 +58,4 @@ class CouplingContact(ContactTerm, Protocol):
         """Hessian [N/m], each contact's part positive semi-definite if `project`."""
 
     def max_step(self, x: FloatArray, step: FloatArray) -> float:
-        """Largest part in (0, 1] of a step that is free of collisions."""
+        """Largest part in [0, 1] of a step that is free of collisions."""

@@ -351,7 +351,7 @@ class IncrementalPotential:
         return np.asarray(np.maximum.reduceat(np.abs(self._values), starts))[: self.partition.n_owned * self.dim]
 
     def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
-        """Largest part in (0, 1] of a step that contact leaves free; laws set no bound.
+        """Largest part in [0, 1] of a step that contact leaves free; laws set no bound.
 
         `drift` is the part of the obstacles' motion over the time step that goes along with the whole of `step`.
         """
