@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from femdeform.scene.schema import ProjectedNewtonSolver
 from femdeform.step_problem import Budget, IterationObserver, StepProblem, StepResult
 from femdeform.types import FloatArray

@@ -68,6 +68,7 @@ def carry_supports(
     state : State
         Last accepted state; not changed.
     linear_solver : LinearSolver
+        Solves for the answer of the bodies.
     relax : callable
         Takes positions to lower Phi at the same supports: returns new positions, iterations, linear iterations.
 

@@ -49,6 +49,7 @@ def make_collision_mesh(surface: CollisionSurface, may_touch: BoolArray) -> Any:
     Parameters
     ----------
     surface : CollisionSurface
+        Surfaces of all bodies.
     may_touch : (n_bodies, n_bodies) bool
         Symmetric; the diagonal says whether a body may touch itself.
 
@@ -90,6 +91,7 @@ class IPCContact:
     Parameters
     ----------
     surface : CollisionSurface
+        Surfaces of all bodies.
     may_touch : (n_bodies, n_bodies) bool
         Symmetric; the diagonal says whether a body may touch itself.
     reach : float

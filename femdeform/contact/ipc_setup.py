@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -151,7 +151,7 @@ def _body_findings(surface: CollisionSurface, numbers: ContactNumbers) -> list[I
     vertices = np.asfortranarray(surface.rest)
     if ipctk.has_intersections(mesh, vertices):
         first, second, point = _intersection(ipctk, mesh, surface)
-        return [_between(surface, first, second, f"intersects {{}} near {_at(point)}")]
+        return [_between(surface, first, second, f"touches or intersects {{}} near {_at(point)}")]
     collisions = ipctk.NormalCollisions()
     collisions.build(mesh, vertices, numbers.reach, numbers.offset)
     if collisions.empty():
@@ -199,7 +199,7 @@ def _intersection(ipctk: Any, mesh: Any, surface: CollisionSurface) -> tuple[int
     broad_phase.can_vertices_collide = mesh.can_collide
     vertices = np.asfortranarray(surface.rest)
     broad_phase.build(vertices, mesh.edges, mesh.faces)
-    x: Sequence[FloatArray] = surface.rest
+    x = surface.rest
     if surface.dim == 2:
         for pair in broad_phase.detect_edge_edge_candidates():
             a, b = mesh.edges[pair.edge0_id], mesh.edges[pair.edge1_id]

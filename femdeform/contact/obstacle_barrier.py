@@ -69,7 +69,7 @@ class ObstacleBarrier:
         self.velocity = velocity
         self.stick_velocity = stick_velocity
         self.moves = bool(np.any(velocity != 0.0))
-        self._time, self._dt = 0.0, 1.0
+        self._time, self._dt, self._progress = 0.0, 1.0, 0.0
         self._shift = np.zeros_like(velocity)
         self._slip_scale = 1.0
         # Nodes with friction in this step: their index, start, normal and limit of the friction force.
@@ -83,6 +83,7 @@ class ObstacleBarrier:
         self._time, self._dt = time, dt
         self.place(0.0)
         self._slip_scale = max(self.stick_velocity * dt, 1e-300)
+        self._rubbing = np.empty(0, dtype=np.int64)
         if self.friction > 0.0:
             near, gap, normal = self._near(x)
             slope = barrier(gap, self.reach, self.offset[near])[1]

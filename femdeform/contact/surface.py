@@ -119,9 +119,9 @@ def collision_surface(parts: Sequence[SurfacePart], points: FloatArray) -> Colli
         thickness[own] = part.half_thickness
         body[own] = number
         if part.n_corners == 2:
-            area = part.width * np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+            area = np.asarray(part.width * np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))
             edges.append(local)
-            edge_weight.append(part.stiffness * area)
+            edge_weight.append(np.asarray(part.stiffness * area, dtype=np.float64))
         else:
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             area = 0.5 * np.linalg.norm(normal, axis=1)

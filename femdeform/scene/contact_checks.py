@@ -39,9 +39,12 @@ def contact_findings(
             message = "belongs to the penalty; with contact.method ipc obstacles obey `contact.stiffness`"
             yield Finding(("obstacles", index, "stiffness"), message)
     known = all(name in scene.bodies for pair in method.between or [] for name in pair)
-    complete = set(meshes) == set(scene.bodies) and not coarse and len({mesh.dim for mesh in meshes.values()}) == 1
-    kinds = all((body.kind == "rod") == (meshes[name].cell_type == "line") for name, body in scene.bodies.items() if name in meshes)
-    if known and complete and kinds:
+    complete = set(meshes) == set(scene.bodies) and not coarse
+    # Bodies of two dimensions, or of a kind that is not that of their cells, have faults of their own.
+    fitting = len({mesh.dim for mesh in meshes.values()}) == 1 and all(
+        (scene.bodies[name].kind == "rod") == (mesh.cell_type == "line") for name, mesh in meshes.items()
+    )
+    if known and complete and fitting:
         for found in registry.resolve(registry.INITIAL_CONTACT)(scene, meshes):
             if not found.is_notice:
                 yield Finding(found.path, found.message)

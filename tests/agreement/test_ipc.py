@@ -352,7 +352,8 @@ def test_random_drops(seed: int) -> None:
         }
 
     def stuff() -> dict[str, Any]:
-        return material("stable_neo_hookean", E=float(10.0 ** rng.uniform(4.5, 8.0)), density=float(rng.uniform(200, 3000)))
+        E, density = 10.0 ** rng.uniform(4.5, 8.0), rng.uniform(200.0, 3000.0)
+        return material("stable_neo_hookean", E=float(E), density=float(density))
 
     cube = block([0.2, 0.2, 0.2], [2, 2, 2])
     cloth = {"recipe": "cloth", "size": [0.4, 0.4], "cells": [4, 4]}
@@ -378,22 +379,19 @@ def test_random_drops(seed: int) -> None:
     def energy() -> float:
         state = simulation.state
         stored = problem.kinetic_energy(state.v) + problem.elastic_energy(state.x) + problem.load_potential(state.x)
-        # Of the barriers alone: friction's potential is not stored.
-        for term in (*barriers(simulation), *problem.couplings):
+        for term in (*barriers(simulation), bodies_contact(simulation)):
+            # Without friction, whose work is not stored; a step begun again changes nothing.
+            friction, term.friction = term.friction, 0.0
             term.begin_step(state.x, problem.time, problem.dt)
-            term.friction = 0.0
-            term.begin_step(state.x, problem.time + problem.dt, problem.dt)
             stored += term.value(state.x)
-            term.friction = 0.2
+            term.friction = friction
         return stored
 
     problem.begin_step(simulation.state, 0.02)
     energies = [energy()]
     run_through(simulation, 40, lambda: energies.append(energy()))
-    lowest = -G * 0.0
-    falls = np.diff(energies)
-    scale = energies[0] - lowest
-    assert falls.max() < 1e-3 * abs(scale)
+    # Backward Euler only takes energy away, up to the tolerance of the steps and what a non-convex energy may give.
+    assert np.diff(energies).max() < 1e-3 * energies[0]
     assert energies[-1] < energies[0]
 
 
@@ -402,7 +400,10 @@ def test_a_bullet_does_not_tunnel() -> None:
     data = scene(
         {
             "sheet": body(
-                {"recipe": "cloth", "size": [1.0, 1.0], "cells": [6, 6]}, material(E=1e6), kind="membrane", thickness=0.005
+                {"recipe": "cloth", "size": [1.0, 1.0], "cells": [6, 6]},
+                material(E=1e6),
+                kind="membrane",
+                thickness=0.005,
             ),
             "bullet": body(block([0.05, 0.05, 0.05], [1, 1, 1], translate=[0.03, 0.2, 0.01]), material(E=1e8)),
         },

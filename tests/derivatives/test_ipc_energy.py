@@ -168,7 +168,7 @@ def grid(n: int, height: float, shift: float) -> tuple[Any, Any]:
     along = np.linspace(0.0, 1.0, n + 1)
     points = np.array([[x + shift, y + 0.7 * shift, height] for y in along for x in along])
     first = np.array([j * (n + 1) + i for j in range(n) for i in range(n)])[:, None]
-    return points, np.concatenate([first + [0, 1, n + 2], first + [0, n + 2, n + 1]])
+    return points, np.concatenate([first + np.array([0, 1, n + 2]), first + np.array([0, n + 2, n + 1])])
 
 
 def surfaces(dim: int, offset: float = 0.0) -> Any:
