@@ -121,7 +121,7 @@ def collision_surface(parts: Sequence[SurfacePart], points: FloatArray) -> Colli
         if part.n_corners == 2:
             area = np.asarray(part.width * np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))
             edges.append(local)
-            edge_weight.append(np.asarray(part.stiffness * area, dtype=np.float64))
+            edge_weight.append(part.stiffness * area)
         else:
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             area = 0.5 * np.linalg.norm(normal, axis=1)
@@ -130,7 +130,7 @@ def collision_surface(parts: Sequence[SurfacePart], points: FloatArray) -> Colli
             unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
             share = np.bincount(inverse.ravel(), np.repeat(area / 3.0, 3), len(unique))
             edges.append(unique)
-            edge_weight.append(part.stiffness * share)
+            edge_weight.append(np.asarray(part.stiffness * share, dtype=np.float64))
         np.add.at(weight, local, part.stiffness * area[:, None] / part.n_corners)
     return CollisionSurface(
         nodes,
