@@ -100,7 +100,7 @@ class ProjectedNewton:
             `converged` is False, with the reason, if the tolerance was not reached; nothing is raised for that.
         """
         budget = Budget() if budget is None else budget
-        first = carry_supports(problem, state, self.linear_solver, lambda x: self._relax(problem, x))
+        first = carry_supports(problem, state, self.linear_solver, lambda x: self._relax(problem, x), budget)
         current = self._evaluate(problem, first.x)
         problem.settle_force_scale(first.x)
         previous_norm, previous_length = math.inf, 0.0

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from femdeform.step_problem import StepProblem
+from femdeform.step_problem import Budget, StepProblem
 from femdeform.types import FloatArray
 from solvers.linear.interface import LinearSolver
 
@@ -55,6 +55,7 @@ def carry_supports(
     state: Any,
     linear_solver: LinearSolver,
     relax: Callable[[FloatArray], tuple[FloatArray, int, int]],
+    budget: Budget,
 ) -> FirstIterate:
     """Carry out the prescribed motion of supports and obstacles.
 
@@ -71,6 +72,8 @@ def carry_supports(
         Solves for the answer of the bodies.
     relax : callable
         Takes positions to lower Phi at the same supports: returns new positions, iterations, linear iterations.
+    budget : Budget
+        Looked at before every further portion.
 
     Returns
     -------
@@ -96,8 +99,12 @@ def carry_supports(
         problem.place_obstacles(0.0)
 
     x, left, iterations, stuck = state.x, 1.0, 0, 0
+    spent: str | None = None
     for portion in range(_PORTIONS):
         if portion > 0:
+            spent = budget.spent(iterations)
+            if spent is not None:
+                break
             motion = np.where(problem.free, 0.0, guess - x)
             response, linear, converged = _response(problem, x, motion, left, linear_solver)
             linear_iterations += linear
@@ -124,7 +131,9 @@ def carry_supports(
         x, relaxations, linear = relax(x)
         iterations += relaxations
         linear_iterations += linear
-    reason = "the linear solver failed on the way" if not converged else "contact or a material is in the way"
+    reason = spent or "contact or a material is in the way"
+    if not converged:
+        reason = "the linear solver failed on the way"
     failure = f"only {100.0 * (1.0 - left):.3g} % of the prescribed motion could be carried out: {reason}"
     return FirstIterate(x, math.nan, 0.0, iterations, linear_iterations, failure)
 

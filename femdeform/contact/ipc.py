@@ -40,6 +40,8 @@ def _ipctk() -> Any:
         ) from None
     # Its parallel sums depend on how threads share the work; a run has to give the same bits again.
     ipctk.set_num_threads(1)
+    # What matters comes back as a value.
+    ipctk.set_logger_level(ipctk.LoggerLevel.error)
     return ipctk
 
 

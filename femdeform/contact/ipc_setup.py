@@ -145,9 +145,9 @@ def _obstacle_findings(scene: schema.DeformableScene, surface: CollisionSurface)
 
 
 def _body_findings(surface: CollisionSurface, numbers: ContactNumbers) -> list[InitialFinding]:
+    mesh = make_collision_mesh(surface, numbers.may_touch)
     import ipctk
 
-    mesh = make_collision_mesh(surface, numbers.may_touch)
     vertices = np.asfortranarray(surface.rest)
     if ipctk.has_intersections(mesh, vertices):
         first, second, point = _intersection(ipctk, mesh, surface)

@@ -50,9 +50,7 @@ def make_contacts(
         stiffness = areas * (default if obstacle.stiffness is None else obstacle.stiffness)
         velocity = _velocity(obstacle, discretization.dim)
         contacts.append(
-            PenaltyContact(
-                make_shape(obstacle), nodes, stiffness, obstacle.friction, velocity, _STICK_VELOCITY * size
-            )
+            PenaltyContact(make_shape(obstacle), nodes, stiffness, obstacle.friction, velocity, _STICK_VELOCITY * size)
         )
     return contacts, []
 

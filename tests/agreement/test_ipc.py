@@ -12,6 +12,7 @@ from scenario import advance, block, body, build, material, quasistatic, scene, 
 from femdeform.contact.ipc import IPCContact
 from femdeform.contact.obstacle_barrier import ObstacleBarrier
 from femdeform.run.setup import Simulation
+from femdeform.step_problem import Budget
 
 G = 9.81
 RHO = 1000.0
@@ -426,3 +427,23 @@ def test_a_scene_without_contact_pays_nothing() -> None:
     without = build(scene(bodies, held, gravity=[0.0, -G, 0.0]))
     assert not without.problem.has_barriers
     np.testing.assert_array_equal(advance(with_method, 5).x, advance(without, 5).x)
+
+
+def test_a_budget_ends_the_way_of_the_supports_too() -> None:
+    data = scene(
+        {
+            "soft": body(block([0.4, 0.2], [6, 3]), material(E=1e5)),
+            "plate": body(block([0.3, 0.05], [3, 1], translate=[0.05, 0.22]), material(E=1e8)),
+        },
+        {"kind": "fixed", "on": "soft.bottom"},
+        {"kind": "translate", "on": "plate.top", "velocity": [0.0, -0.09]},
+        contact=IPC,
+        time=quasistatic(1.0),
+    )
+    simulation = build(data)
+    problem, state = simulation.problem, simulation.state
+    problem.begin_step(state, 1.0)
+    result = simulation.solver.step(problem, state, budget=Budget(iterations=2))
+    assert not result.converged
+    assert "the budget of 2 iterations is spent" in result.reason
+    assert result.iterations <= 5

@@ -242,9 +242,7 @@ def test_contact_of_bodies(dim: int, friction: float, offset: float) -> None:
 @DIMS
 def test_energy_scales_with_area_and_stiffness_of_the_bodies(dim: int) -> None:
     surface, points = surfaces(dim)
-    doubled = collision_surface(
-        [SurfacePart(b, f, k, w, 0.0, 2.0 * E) for b, f, k, w, E in parts_of(dim)], points
-    )
+    doubled = collision_surface([SurfacePart(b, f, k, w, 0.0, 2.0 * E) for b, f, k, w, E in parts_of(dim)], points)
     touch = np.ones((len(surface.bodies),) * 2, dtype=bool)
     values = []
     for some in (surface, doubled):

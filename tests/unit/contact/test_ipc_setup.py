@@ -151,9 +151,7 @@ def test_who_touches_whom(self_contact: bool, between: list[list[str]] | None) -
 
 
 def test_a_barrier_that_acts_at_rest_is_told() -> None:
-    simulation = build(
-        scene({"b": body(block([0.1, 0.015], [4, 1]))}, contact={"method": "ipc", "distance": 0.02})
-    )
+    simulation = build(scene({"b": body(block([0.1, 0.015], [4, 1]))}, contact={"method": "ipc", "distance": 0.02}))
     (notice,) = simulation.notices
     assert "the barrier acts inside `b` at rest" in notice
 
@@ -186,8 +184,11 @@ def test_spatial_bodies_that_start_inside_one_another(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="touches or intersects"):
         build(data)
     layers = {
-        name: body({"recipe": "cloth", "size": [1.0, 1.0], "cells": [4, 4], "translate": [0.03, y, 0.02 * y]},
-                   kind="membrane", thickness=0.01)
+        name: body(
+            {"recipe": "cloth", "size": [1.0, 1.0], "cells": [4, 4], "translate": [0.03, y, 0.02 * y]},
+            kind="membrane",
+            thickness=0.01,
+        )
         for name, y in (("low", 0.0), ("high", 0.008))
     }
     (fault,) = faults(tmp_path, scene(layers, contact={"method": "ipc"}))
