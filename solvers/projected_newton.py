@@ -16,6 +16,8 @@ from solvers.support_motion import RELAXATIONS, carry_supports
 # because differences of Phi may be rounding; so short a way from the solution few backtracks make sense.
 _FLAT = 1e-8
 _FLAT_BACKTRACKS = 6
+# Near a saddle the residual grows on the way down. A promise above this fraction still shows in differences of Phi.
+_RESOLVED = 1e-12
 # A full step that reduces the residual at least to this part is taken for a neighbourhood of the solution. Clamped
 # Hessians converge linearly, under compression slowly: to ask for more would keep the exact one away for ever.
 _SETTLED = 0.95
@@ -211,8 +213,8 @@ class ProjectedNewton:
     ) -> tuple[float, _Iterate | None]:
         """Step length and the iterate there; None if no admissible length gives a decrease."""
         search = self.options.line_search
-        length = problem.max_step(current.x, direction.step)
-        if length <= 0.0:
+        length = longest = problem.max_step(current.x, direction.step)
+        if longest <= 0.0:
             return 0.0, None
         is_flat = -direction.slope <= _FLAT * magnitude
         for _ in range(1 + (_FLAT_BACKTRACKS if is_flat else search.max_backtracks)):
@@ -224,6 +226,13 @@ class ProjectedNewton:
             elif problem.value(x) <= value + search.armijo * length * direction.slope:
                 return length, self._evaluate(problem, x)
             length *= search.shrink
+        if is_flat and -direction.slope > _RESOLVED * magnitude:
+            length = longest
+            for _ in range(1 + _FLAT_BACKTRACKS):
+                x = current.x + length * direction.step
+                if problem.value(x) <= value + search.armijo * length * direction.slope:
+                    return length, self._evaluate(problem, x)
+                length *= search.shrink
         return length, None
 
 

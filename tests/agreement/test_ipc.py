@@ -340,7 +340,7 @@ def test_momentum_is_conserved_in_a_collision(dim: int) -> None:
     np.testing.assert_allclose(after, before, atol=1e-7 * np.linalg.norm(before))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 21])
 def test_random_drops(seed: int) -> None:
     """Bodies of several kinds, thrown into a container at random: nothing crosses, and no energy comes from nothing."""
     rng = np.random.default_rng(seed)
