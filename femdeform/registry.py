@@ -28,6 +28,9 @@ MESH: dict[str, str] = {
     "command": "meshes.info:mesh_command",
 }
 
+# Where bodies with incremental potential contact start.
+INITIAL_CONTACT = "femdeform.contact.ipc_setup:initial_findings"
+
 PARTITIONER = "solvers.linear.partition:partition_cells"
 
 BENCHMARKS: dict[str, str] = {

@@ -10,6 +10,8 @@ import numpy as np
 from femdeform import registry
 from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
+from femdeform.scene.contact_checks import contact_findings
+from femdeform.scene.contact_schema import IPCMethod
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
@@ -47,6 +49,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *_dimension_findings(loaded.scene, meshes),
         *_selection_findings(loaded.scene, meshes, frozenset(coarse)),
         *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
+        *contact_findings(loaded.scene, meshes, frozenset(coarse)),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
     ]
@@ -208,6 +211,9 @@ def _mixed_findings(scene: schema.DeformableScene, solver: MixedFEMSolver) -> It
                 yield Finding(("bodies", name, *place, "law"), message)
     if solver.global_solve == "kkt_cg" and scene.time.scheme == "quasistatic":
         yield Finding(("solver", "global_solve"), "kkt_cg needs inertia; use condensed or kkt_direct in statics")
+    if solver.scheme == "alternating" and isinstance(scene.contact, IPCMethod):
+        message = "alternating starts from free flight, which may end inside a barrier; use converged with contact ipc"
+        yield Finding(("solver", "scheme"), message)
 
 
 # ----------------------------------------------------------------------------------------------- whole files

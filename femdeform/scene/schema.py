@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.quantity_schema import Expect, Quantity
@@ -426,6 +427,7 @@ class DeformableScene(SceneModel):
         default_factory=list, description="supports, motions, loads, initial velocities"
     )
     obstacles: list[Obstacle] = Field(default_factory=list, description="rigid obstacles")
+    contact: Contact = Field(default=PenaltyMethod(), description="how contact is treated")
     gravity: Vector | None = Field(default=None, description="acceleration of gravity [m/s^2]")
     gravity_amplitude: Amplitude | None = Field(
         default=None,
