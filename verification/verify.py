@@ -114,12 +114,14 @@ def _show_coloured(head: str, lines: Sequence[Line]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    console: Any = Console(highlight=False)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in COLUMNS:
-        table.add_column(column, no_wrap=True, overflow="ellipsis")
+        table.add_column(column, no_wrap=True)
     for line in lines:
         styles = {"verdict": "green" if line.passed else "bold red"}
         table.add_row(*(Text(text, styles.get(name, "")) for name, text in zip(COLUMNS, line.cells(), strict=True)))
+    console: Any = Console(highlight=False)
+    # Digits must not be cut: a terminal that is too narrow wraps whole lines instead.
+    console.width = max(console.width, Console(width=10_000).measure(table).maximum)
     console.print(Text(head, "bold"), soft_wrap=True)
     console.print(table)
