@@ -26,6 +26,7 @@ MESH: dict[str, str] = {
     "build": "meshes.build:build_mesh",
     "check": "meshes.quality:check_mesh",
     "command": "meshes.info:mesh_command",
+    "embed": "meshes.embed:embed_points",
 }
 
 # Where bodies with incremental potential contact start.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from femdeform.post.camera import VIEW_ANGLE, place_camera, vertical_axis
 from femdeform.post.fields import Field, select_field
 from femdeform.post.obstacles import obstacle_shapes, solid_bounds
+from femdeform.post.skin import DrawnFrames
 from femdeform.post.surface import Part, vertex_normals
 from femdeform.post.survey import Setting, resolved_or_empty
 from femdeform.run.result import Frame, Result
@@ -65,6 +66,7 @@ class Stage:
     ) -> None:
         self.pyvista = pyvista
         self._result = result
+        self._drawn = DrawnFrames(result)
         self._setting = setting
         self._field = field
         self._bare = bare
@@ -88,7 +90,7 @@ class Stage:
         Frame
             The frame shown.
         """
-        frame = self._result.read_frame(index)
+        frame = self._drawn.read(index)
         field = select_field(frame, self._field, self._result.folder)
         if not self._meshes:
             self._build(frame, field)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from femdeform.scene.checks import check_file, check_scene
 from femdeform.scene.load import LoadedScene, load_scene
 from femdeform.scene.mesh_files import mesh_file_hashes
 from femdeform.scene.meshing import load_meshes
+from femdeform.scene.skins import load_skins
 from femdeform.types import Mesh
 
 # Exit codes of runs that have reached their end, by the status in their result.
@@ -33,6 +34,7 @@ class RunInput:
     folder: Path
     checkpoint: Checkpoint | None
     overwrite: bool
+    skins: dict[str, Mesh] = field(default_factory=dict)
     ended: int | None = None  # exit code of a run that has nothing left to do
 
 
@@ -95,14 +97,15 @@ def _read(
         _check_mesh_files(loaded, checkpoint)
         status = Result.open(folder).facts["status"]
         if status in _ENDED:
-            return RunInput(loaded, {}, {}, folder, checkpoint, False, _ENDED[status])
+            return RunInput(loaded, {}, {}, folder, checkpoint, False, ended=_ENDED[status])
     meshes = load_meshes(loaded)
+    skins = load_skins(loaded)
     faults = check_scene(loaded, meshes)
     if faults:
         raise InputError(faults)
     # Told before the work of setting up, not after it.
     check_writable(folder)
-    return RunInput(loaded, meshes, mesh_file_hashes(loaded), folder, checkpoint, overwrite or begin_again)
+    return RunInput(loaded, meshes, mesh_file_hashes(loaded), folder, checkpoint, overwrite or begin_again, skins)
 
 
 def _check_mesh_files(loaded: LoadedScene, checkpoint: Checkpoint) -> None:

@@ -27,6 +27,7 @@ _OWN_FILES = (
     "frames.pvd",
     "final.vtu",
     "checkpoint.h5",
+    "skins.npz",
     "report.html",
     "view.png",
 )

@@ -26,6 +26,7 @@ from femdeform.run.quantities import Meter, Snapshot, standard_quantities
 from femdeform.run.recorder import Recorder
 from femdeform.run.result_folder import mark_ended
 from femdeform.run.setup import Simulation, build_simulation
+from femdeform.run.skin import bind_skins, write_skins
 from femdeform.run.table import read_table
 from femdeform.run.threads import use_threads
 from femdeform.run.time_loop import LoopOutcome, StepControl, default_min_dt, run_time_loop
@@ -129,6 +130,7 @@ class _Run:
         self.is_first = comm is None or comm.Get_rank() == 0
         self.folder = given.folder
         self.mesh_files = given.mesh_files
+        self.surfaces = given.skins
         self.interrupts = interrupts
         self.trace = trace
         self.quiet = quiet
@@ -188,10 +190,12 @@ class _Run:
         if self.comm is not None:
             # Ranks have to stop at the same step; the launcher may lack the patience to wait for that.
             self.interrupts.hold(self._mark_interrupted)
-        for text in [*self.loaded.notices, *self.simulation.notices]:
+        skins, loose = bind_skins(self.simulation, self.surfaces) if self.is_first else ([], [])
+        for text in [*self.loaded.notices, *self.simulation.notices, *loose]:
             self.progress.notice(f"note: {text}")
         if self.recorder is not None:
             self.recorder.start(self._resolved(), self._facts())
+            write_skins(self.folder, skins)
         if not self.resumed:
             self._write_frame(self.state)
             self._save(self.state)
@@ -415,8 +419,9 @@ class _Run:
     def _resolved(self) -> dict[str, Any]:
         resolved: dict[str, Any] = self.scene.model_dump(mode="json", exclude_none=True)
         for body in resolved["bodies"].values():
-            if "file" in body["mesh"]:
-                body["mesh"]["file"] = str((self.loaded.base_dir / body["mesh"]["file"]).resolve())
+            for source in (body["mesh"], body.get("skin", {})):
+                if "file" in source:
+                    source["file"] = str((self.loaded.base_dir / source["file"]).resolve())
         return resolved
 
     def _facts(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.partial import sound_part
 from femdeform.scene.quantity_checks import quantity_findings
 from femdeform.scene.selection_checks import COMPONENTS, hint_of, judge_selection, vectors_inside
+from femdeform.scene.skins import load_skins
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
@@ -68,6 +69,8 @@ def _body_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) ->
             cells = {"line": "lines", "triangle": "triangles", "tetra": "tetrahedra"}[mesh.cell_type]
             message = f"a {body.kind} cannot be made of {cells} in {mesh.dim}D; they make a {fitting}"
             yield Finding((*path, "kind"), message)
+        if getattr(body, "skin", None) is not None and mesh.cell_type != "tetra":
+            yield Finding((*path, "skin"), "only bodies of tetrahedra can have a skin")
         if body.kind != "solid":
             message = "the linear law turns with the body in solids only; choose another law"
             if isinstance(body.material, schema.LinearMaterial):
@@ -240,4 +243,8 @@ def check_file(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
     else:
         faults = []
     survey = survey_meshes(loaded)
+    try:
+        load_skins(loaded)
+    except InputError as error:
+        faults += error.faults
     return sort_faults([*faults, *survey.faults, *check_scene(loaded, survey.meshes, survey.coarse)])

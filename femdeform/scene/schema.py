@@ -126,6 +126,11 @@ class _BodyModel(SceneModel):
 
 class SolidBody(_BodyModel):
     kind: Literal["solid"] = Field(default="solid", description="tetrahedra in 3D, triangles (plane strain) in 2D")
+    skin: MeshSource | None = Field(
+        default=None,
+        description="surface of triangles that pictures show in place of a body of tetrahedra; it follows the cells "
+        "around its points",
+    )
 
 
 class MembraneBody(_BodyModel):
