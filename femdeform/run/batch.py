@@ -167,7 +167,7 @@ class _Batch:
         self.index.write_manifest()
         self.index.write_csv()
         kept = f", {n_distinct - n_todo} of them kept as they are" if n_todo < n_distinct else ""
-        self.progress.notice(f"{self.plan.title}: {n_distinct} runs{kept}; {self.out}")
+        self.progress.notice(f"{self.plan.title}: {_count(n_distinct)}{kept}; {self.out}")
         for text in self._repetitions():
             self.progress.notice(f"note: {text}")
         self.progress.start(n_distinct - n_todo, n_distinct)
@@ -251,7 +251,7 @@ class _Batch:
         words = ", ".join(f"{count} {_words(status)}" for status, count in counts.most_common())
         if not (self.quiet and code == 0):
             stream = sys.stdout if code == 0 else sys.stderr
-            print(f"{len(endings)} runs: {words}; {self.out}", file=stream, flush=True)
+            print(f"{_count(len(endings))}: {words}; {self.out}", file=stream, flush=True)
         if code == _INTERRUPTED:
             print("interrupted; the same command goes on from here", file=sys.stderr, flush=True)
         elif any(ending.is_failure and ending.status != "killed" for ending in endings):
@@ -261,6 +261,10 @@ class _Batch:
     def _line(self, run: PlannedRun, ending: Ending) -> str:
         seconds = f", {ending.seconds:.1f} s" if ending.seconds is not None else ""
         return f"run {run.number} ({self.plan.label(run)}): {_words(ending.status)}{seconds}"
+
+
+def _count(n_runs: int) -> str:
+    return f"{n_runs} run{'' if n_runs == 1 else 's'}"
 
 
 def _words(status: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 from femdeform.run import atomic
 from femdeform.run.checkpoint import FILE_NAME as CHECKPOINT
 from femdeform.run.failure import BUG_NOTE
+from femdeform.run.interrupts import INTERRUPTED
 
 # A run with one of these is over, and kept.
 FINISHED = ("done", "expectation_failed")
@@ -130,7 +131,8 @@ def judge(code: int, facts: Mapping[str, Any], log: Path, seconds: float) -> End
     # A process that breaks after its result is written leaves a whole result.
     if status in FINISHED or status == "not_converged" or (status == "failed" and code > 0):
         return Ending(status, _one_line(reason), code, seconds)
-    if status == "interrupted" or code == 130:
+    # A run that is to go on and breaks before it does so leaves the result of the interruption before it.
+    if code == INTERRUPTED or (status == "interrupted" and -code in _SENT):
         return Ending("interrupted", _one_line(reason), code, seconds)
     if code < 0:
         name = signal.Signals(-code).name if -code in signal.valid_signals() else f"signal {-code}"

@@ -397,7 +397,8 @@ def test_the_recipe_of_the_page_makes_a_mesh(parameters: dict[str, Any], measure
 
 
 @pytest.mark.slow
-def test_the_case_of_the_page_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("full", [False, True])
+def test_the_case_of_the_page_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: bool) -> None:
     from verification import analytic
     from verification.analytic import beams
     from verification.study import run_case
@@ -409,6 +410,6 @@ def test_the_case_of_the_page_passes(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (source,) = of_page("developer/add-a-case.md", "python").values()
     formula = executed(source, "new_beams", vars(beams))["hanging_bar_tip"]
     monkeypatch.setitem(analytic.ANALYTIC, "hanging_bar_tip", formula)
-    result = run_case(folder, full=True)
+    result = run_case(folder, full=full)
     assert {verdict.quantity for verdict in result.verdicts} == {"l2", "h1", "tip"}
     assert all(verdict.passed for verdict in result.verdicts), result.verdicts
