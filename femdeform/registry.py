@@ -14,6 +14,7 @@ from femdeform.errors import MissingDependencyError
 
 SOLVERS: dict[str, str] = {
     "projected_newton": "solvers.projected_newton:ProjectedNewton",
+    "mixed_fem": "solvers.mixed_variational:MixedVariational",
 }
 
 LINEAR_SOLVERS: dict[str, str] = {
@@ -27,6 +28,9 @@ MESH: dict[str, str] = {
     "command": "meshes.info:mesh_command",
     "embed": "meshes.embed:embed_points",
 }
+
+# Where bodies with incremental potential contact start.
+INITIAL_CONTACT = "femdeform.contact.ipc_setup:initial_findings"
 
 PARTITIONER = "solvers.linear.partition:partition_cells"
 

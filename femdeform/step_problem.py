@@ -94,6 +94,8 @@ class StepProblem(Protocol):
     free: BoolArray
     force_scale: float
     value_magnitude: float  # sum of the sizes of the terms of the last `value`, which may cancel [J]
+    has_barriers: bool  # whether there is contact that nothing may penetrate: `max_step` then bounds steps
+    obstacles_push: bool  # whether obstacles move that nothing may penetrate
 
     def initial_guess(self, state: Any) -> FloatArray:
         """Positions of the last state with the prescribed values of this step."""
@@ -104,14 +106,17 @@ class StepProblem(Protocol):
     def gradient(self, x: FloatArray) -> FloatArray:
         """Residual [N], zero at prescribed degrees of freedom."""
 
-    def full_gradient(self, x: FloatArray) -> FloatArray:
-        """Gradient of Phi at every degree of freedom [N]."""
+    def full_gradient(self, x: FloatArray, elastic: bool = True) -> FloatArray:
+        """Gradient of Phi at every degree of freedom [N]; without the elastic energy's if not `elastic`."""
 
     def hessian(self, x: FloatArray, project: bool) -> Any:
         """Hessian for a `LinearSolver`; positive semi-definite cell by cell if `project`."""
 
-    def hessian_times(self, x: FloatArray, step: FloatArray) -> FloatArray:
-        """Projected Hessian times a field, prescribed degrees of freedom included [N]."""
+    def hessian_times(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> FloatArray:
+        """Projected Hessian times a field, prescribed degrees of freedom included, and `drift` of the obstacles [N]."""
+
+    def place_obstacles(self, progress: float) -> None:
+        """Put moving obstacles where they are after that part of the step, from 0, where it begins, to 1."""
 
     def linearize_at(self, x: FloatArray) -> None:
         """Announce the state from which the next line search starts."""
@@ -125,8 +130,8 @@ class StepProblem(Protocol):
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone leaves [N]."""
 
-    def max_step(self, x: FloatArray, step: FloatArray) -> float:
-        """Largest admissible step length in (0, 1]."""
+    def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
+        """Largest admissible part of a step, in [0, 1], with `drift` of the obstacles' motion along the whole of it."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +141,7 @@ class StepResult:
     Attributes
     ----------
     x : (n_local, dim) float64
-        Last positions [m]; a time loop uses them only if `converged`.
+        Last positions [m]; a time loop uses them only if `accepted`.
     converged : bool
         Whether the residual is below its tolerance.
     reason : str
@@ -147,6 +152,9 @@ class StepResult:
         Residual at `x` [N].
     relative_residual : float
         The same over `StepProblem.force_scale` [-].
+    is_fixed_work : bool
+        The solver did the work it was asked for and no tolerance was promised: an interactive scheme, whose steps are
+        taken whatever their residual is.
     """
 
     x: FloatArray
@@ -156,6 +164,12 @@ class StepResult:
     linear_iterations: int
     residual_norm: float
     relative_residual: float
+    is_fixed_work: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a time loop goes on from `x`."""
+        return self.converged or self.is_fixed_work
 
 
 class StepSolver(Protocol):
@@ -184,3 +198,9 @@ class StepSolver(Protocol):
         StepResult
             Nothing is raised if the step does not converge.
         """
+
+    def reset(self) -> None:
+        """Forget what was learnt in earlier steps: the next one depends on its state alone."""
+
+    def destroy(self) -> None:
+        """Free what the solver holds besides its linear solver."""

@@ -2,61 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
-
-import numpy as np
 
 from femdeform.scene.schema import ProjectedNewtonSolver
 from femdeform.step_problem import Budget, IterationObserver, StepProblem, StepResult
 from femdeform.types import FloatArray
-from solvers.linear.interface import LinearSolver
-
-# Phi is a sum of terms that cancel. Where a step promises less than this fraction of them, the residual judges it,
-# because differences of Phi may be rounding; so short a way from the solution few backtracks make sense.
-_FLAT = 1e-8
-_FLAT_BACKTRACKS = 6
-# A full step that reduces the residual at least to this part is taken for a neighbourhood of the solution. Clamped
-# Hessians converge linearly, under compression slowly: to ask for more would keep the exact one away for ever.
-_SETTLED = 0.95
-# A residual is put down to rounding only where it is small beside the forces: a body that runs away from its supports
-# makes the positions, and with them the estimate of rounding, as large as one likes. The forces themselves count as
-# rounding (a body at rest) below this multiple of the estimate.
-_NEGLIGIBLE = 1e-6
-_IDLE = 100.0
-
-
-@dataclass
-class _Iterate:
-    """Positions with everything already evaluated there."""
-
-    x: FloatArray
-    residual: FloatArray
-    norm: float
-
-
-@dataclass(frozen=True)
-class _First:
-    """Where the iteration starts, and what the way there took: one iteration if the supports move, else none."""
-
-    x: FloatArray
-    objective: float  # before the motion was spread
-    length: float
-    iterations: int
-    linear_iterations: int
-
-
-@dataclass(frozen=True)
-class _Direction:
-    """A search direction and how it was found."""
-
-    step: FloatArray
-    slope: float
-    iterations: int
-    projected: bool
-    usable: bool
-    reason: str
+from solvers.descent import Column, Descent, Matrix
+from solvers.linear.interface import LinearResult, LinearSolver
 
 
 class ProjectedNewton:
@@ -67,7 +20,8 @@ class ProjectedNewton:
     eigensystem, which makes dx a descent direction; with ``adaptive`` the exact Hessian takes over once full steps
     reduce the residual, for quadratic convergence, and is given up for the clamped one in any iteration where its
     direction does not descend. Prescribed positions enter by a first linearised step that spreads their motion over
-    the body instead of crushing the elements at the support.
+    the body instead of crushing the elements at the support (`solvers.support_motion`). Where contact bounds the
+    length of a step, backtracking starts from that bound.
 
     Parameters
     ----------
@@ -115,142 +69,38 @@ class ProjectedNewton:
         StepResult
             `converged` is False, with the reason, if the tolerance was not reached; nothing is raised for that.
         """
-        budget = Budget() if budget is None else budget
-        first = self._first_iterate(problem, state)
-        current = self._evaluate(problem, first.x)
-        problem.settle_force_scale(first.x)
-        previous_norm, previous_length = math.inf, 0.0
-        iteration, linear_iterations = first.iterations, first.linear_iterations
+        options = self.options
+        rule = _NewtonRule(options.hessian, self.linear_solver)
+        descent = Descent(rule, options.tolerance, options.max_iterations, options.line_search)
+        return descent.step(problem, state, observe, budget)
 
-        def result(converged: bool, reason: str) -> StepResult:
-            relative = _ratio(current.norm, problem.force_scale)
-            return StepResult(
-                current.x, converged, reason, iteration, linear_iterations, current.norm, relative
-            )
+    def reset(self) -> None:
+        """Nothing is held between steps."""
 
-        def report(objective: float, length: float, linear: int, projected: bool) -> None:
-            if observe is None:
-                return
-            row = {
-                "iteration": iteration,
-                "residual_norm": current.norm,
-                "relative_residual": _ratio(current.norm, problem.force_scale),
-                "objective": objective,
-                "step_length": length,
-                "linear_iterations": linear,
-                "projected": int(projected),
-                "seconds": budget.elapsed(),
-            }
-            observe(row, current.x)
-
-        if first.iterations:
-            report(first.objective, first.length, first.linear_iterations, True)
-        while True:
-            if not math.isfinite(current.norm):
-                return result(False, "the residual is not finite")
-            if current.norm <= self.options.tolerance * problem.force_scale:
-                return result(True, "residual below tolerance")
-            # The level of rounding is an estimate: it ends a step only once the residual falls no further.
-            if current.norm > 0.25 * previous_norm and _is_rounding(problem, current, first.x, 1.0):
-                return result(True, "residual at the level of rounding")
-            spent = budget.spent(iteration)
-            if spent is not None:
-                return result(False, spent)
-            if iteration >= self.options.max_iterations:
-                return result(False, f"no convergence in {iteration} iterations")
-
-            problem.linearize_at(current.x)
-            value, magnitude = problem.value(current.x), problem.value_magnitude
-            settled = previous_length == 1.0 and current.norm < _SETTLED * previous_norm
-            attempts = [True] if self.options.hessian == "projected" else [False]
-            if self.options.hessian == "adaptive":
-                attempts = [False, True] if settled else [True]
-            length, found, direction = 0.0, None, None
-            for project in attempts:
-                direction = self._direction(problem, current, project)
-                linear_iterations += direction.iterations
-                if not direction.usable:
-                    continue
-                length, found = self._line_search(problem, current, direction, value, magnitude)
-                if found is not None:
-                    break
-            assert direction is not None
-            if found is None:
-                if _is_rounding(problem, current, first.x, 10.0):
-                    return result(True, "residual at the level of rounding")
-                return result(False, "the line search failed" if direction.usable else direction.reason)
-
-            previous_norm, previous_length = current.norm, length
-            current = found
-            iteration += 1
-            report(value, length, direction.iterations, direction.projected)
-
-    def _evaluate(self, problem: StepProblem, x: FloatArray) -> _Iterate:
-        residual = problem.gradient(x)
-        return _Iterate(x, residual, problem.residual_norm(residual))
-
-    def _first_iterate(self, problem: StepProblem, state: Any) -> _First:
-        """Positions that carry the prescribed motion of the step."""
-        guess = problem.initial_guess(state)
-        motion = guess - state.x
-        if problem.partition.max(float(np.abs(motion).max(initial=0.0))) == 0.0:
-            return _First(guess, math.nan, 0.0, 0, 0)
-        force = problem.full_gradient(state.x) + problem.hessian_times(state.x, motion)
-        answer = self.linear_solver.solve(
-            problem.hessian(state.x, project=True), -np.where(problem.free, force, 0.0)
-        )
-        problem.linearize_at(state.x)
-        objective = problem.value(guess)
-        if answer.converged:
-            spread = guess + np.where(problem.free, answer.x, 0.0)
-            value = problem.value(spread)
-            if math.isfinite(value) and not objective < value:
-                return _First(spread, objective, 1.0, 1, answer.iterations)
-        return _First(guess, objective, 0.0, 1, answer.iterations)
-
-    def _direction(self, problem: StepProblem, current: _Iterate, project: bool) -> _Direction:
-        answer = self.linear_solver.solve(problem.hessian(current.x, project), -current.residual)
-        slope = problem.partition.dot(current.residual, answer.x) if answer.converged else math.nan
-        usable, reason = True, ""
-        if not answer.converged:
-            usable, reason = False, f"the linear solver failed: {answer.reason}"
-        elif not math.isfinite(slope):
-            usable, reason = False, "the solution of the linear system is not finite"
-        elif slope >= 0.0:
-            usable, reason = False, "the search direction does not descend"
-        if project and not usable:
-            # A clamped Hessian cannot be indefinite: what spoils it is a motion that costs nothing.
-            reason += "; the system may be singular: is every body held, or has it inertia?"
-        return _Direction(answer.x, slope, answer.iterations, project, usable, reason)
-
-    def _line_search(
-        self, problem: StepProblem, current: _Iterate, direction: _Direction, value: float, magnitude: float
-    ) -> tuple[float, _Iterate | None]:
-        """Step length and the iterate there; None if no admissible length gives a decrease."""
-        search = self.options.line_search
-        length = problem.max_step(current.x, direction.step)
-        is_flat = -direction.slope <= _FLAT * magnitude
-        for _ in range(1 + (_FLAT_BACKTRACKS if is_flat else search.max_backtracks)):
-            x = current.x + length * direction.step
-            if is_flat:
-                candidate = self._evaluate(problem, x)
-                if candidate.norm <= (1.0 - search.armijo * length) * current.norm:
-                    return length, candidate
-            elif problem.value(x) <= value + search.armijo * length * direction.slope:
-                return length, self._evaluate(problem, x)
-            length *= search.shrink
-        return length, None
+    def destroy(self) -> None:
+        """Nothing is held between steps."""
 
 
-def _is_rounding(problem: StepProblem, current: _Iterate, start: FloatArray, factor: float) -> bool:
-    """Whether a residual is no more than what rounding may leave, and nothing that matters beside the forces."""
-    if current.norm > factor * problem.roundoff_norm(current.x):
-        return False
-    before = problem.roundoff_norm(start)
-    if current.norm <= factor * before:  # not the motion that made the estimate large (steel under its own weight)
-        return True
-    return problem.force_scale <= _IDLE * before or current.norm <= _NEGLIGIBLE * problem.force_scale
+class _NewtonRule:
+    """The Hessian of Phi, exact or clamped cell by cell."""
 
+    def __init__(self, hessian: str, linear_solver: LinearSolver) -> None:
+        self.hessian = hessian
+        self.linear_solver = linear_solver
 
-def _ratio(norm: float, scale: float) -> float:
-    return norm / scale if scale > 0.0 else (0.0 if norm == 0.0 else math.inf)
+    def begin(self, problem: StepProblem, x: FloatArray) -> None:
+        """See `MatrixRule`."""
+
+    def attempts(self, settled: bool) -> Sequence[Matrix]:
+        """See `MatrixRule`."""
+        if self.hessian == "adaptive":
+            return ("exact", "definite") if settled else ("definite",)
+        return ("definite",) if self.hessian == "projected" else ("exact",)
+
+    def solve(self, problem: StepProblem, x: FloatArray, b: FloatArray, matrix: Matrix) -> LinearResult:
+        """See `MatrixRule`."""
+        return self.linear_solver.solve(problem.hessian(x, project=matrix != "exact"), b)
+
+    def columns(self) -> Mapping[str, Column]:
+        """See `MatrixRule`."""
+        return {}

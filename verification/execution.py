@@ -164,7 +164,7 @@ def run_problem(problem: Problem, advance: Callable[[float], None] = lambda _: N
     except NotConvergedError as error:
         reason = str(error)
     finally:
-        simulation.linear_solver.destroy()
+        simulation.destroy()
         problem.loaded.meshes.clear()  # a study has many levels, and the finest are large
     return Outcome(
         n_dofs=simulation.discretization.n_dofs,

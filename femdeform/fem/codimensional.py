@@ -24,7 +24,7 @@ _SMALLEST = 1e-8
 
 
 @njit
-def _frame(x: Any, cells: Any, gradients: Any, e: Any, F: Any, basis: Any, f: Any) -> Any:
+def frame(x: Any, cells: Any, gradients: Any, e: Any, F: Any, basis: Any, f: Any) -> Any:
     """Fill F (3, 3), an orthonormal basis (k, 3) of the reference cell's span, and f = F basis^T (3, k).
 
     Returns the number k of tangential directions.
@@ -57,7 +57,7 @@ def _frame(x: Any, cells: Any, gradients: Any, e: Any, F: Any, basis: Any, f: An
 
 
 @njit
-def _stretches(f: Any, k: Any, u: Any, w: Any) -> Any:
+def stretches(f: Any, k: Any, u: Any, w: Any) -> Any:
     """Singular values of f (3, k); left vectors into rows of u (3, 3), right ones into rows of w (k, k)."""
     if k == 1:
         s = np.sqrt(f[0, 0] ** 2 + f[1, 0] ** 2 + f[2, 0] ** 2)
@@ -94,8 +94,8 @@ def cell_energies(x: Any, cells: Any, gradients: Any, weights: Any, law: Any, di
         F, basis, f = np.empty((3, 3)), np.empty((2, 3)), np.empty((3, 2))
         u, w = np.empty((3, 3)), np.empty((2, 2))
         for e in range(chunk * CHUNK, min((chunk + 1) * CHUNK, cells.shape[0])):
-            k = _frame(x, cells, gradients, e, F, basis, f)
-            s0, s1 = _stretches(f, k, u, w)
+            k = frame(x, cells, gradients, e, F, basis, f)
+            s0, s1 = stretches(f, k, u, w)
             out[e] = weights[e, 0] * energy_from_stretches((s0, s1, 1.0), law)
 
 
@@ -110,8 +110,8 @@ def cell_forces(
         F, basis, f = np.empty((3, 3)), np.empty((2, 3)), np.empty((3, 2))
         u, w = np.empty((3, 3)), np.empty((2, 2))
         for e in range(chunk * CHUNK, min((chunk + 1) * CHUNK, cells.shape[0])):
-            k = _frame(x, cells, gradients, e, F, basis, f)
-            s0, s1 = _stretches(f, k, u, w)
+            k = frame(x, cells, gradients, e, F, basis, f)
+            s0, s1 = stretches(f, k, u, w)
             psi, _, _, _ = stretch_derivatives((s0, s1, 1.0), law)
             for a in range(n_nodes):
                 for i in range(3):
@@ -206,8 +206,8 @@ def cell_hessians(
         u, w, v = np.empty((3, 3)), np.empty((2, 2)), np.empty((2, 3))
         Q, H, M = np.empty((3, 3)), np.empty((9, 9)), np.empty((9, 3))
         for e in range(chunk * CHUNK, min((chunk + 1) * CHUNK, cells.shape[0])):
-            k = _frame(x, cells, gradients, e, F, basis, f)
-            s0, s1 = _stretches(f, k, u, w)
+            k = frame(x, cells, gradients, e, F, basis, f)
+            s0, s1 = stretches(f, k, u, w)
             for m in range(k):
                 for j in range(3):
                     v[m, j] = 0.0

@@ -61,6 +61,7 @@ class Judge:
             moves, the forces there stand in for R0: whatever solver is judged, they are the same.
         """
         self._problem.begin_step(state, dt)
+        self._problem.place_obstacles(1.0)
         # The level of rounding, by which rest is recognised, is known after a Hessian.
         self._problem.hessian(x_reference, project=True)
         self._problem.settle_force_scale(x_reference)

@@ -85,7 +85,7 @@ class Reference:
                 self.states.append(state)
                 results.append(result)
         finally:
-            self.simulation.linear_solver.destroy()
+            self.simulation.destroy()
         self.judge = Judge(self.simulation)
         self.rows: list[Row] = []
         before = self.start

@@ -19,6 +19,8 @@ from femdeform.step_problem import Budget, StepResult
 from femdeform.types import FloatArray, Mesh
 
 SPENT, DIVERGED, STOPPED = "budget spent", "diverged", "stopped"
+# Of a scheme that promises no tolerance: its fixed amount of work is done.
+WORK_DONE = "work done"
 
 _WARM_UP_ITERATIONS = 3
 # A solver's own residual and the judge's are the same sum in another order: more than this apart, one is wrong.
@@ -100,7 +102,7 @@ class Trial:
         except InputError as error:
             raise InputError([variant_fault(self.label, fault) for fault in error.faults]) from None
         finally:
-            simulation.linear_solver.destroy()
+            simulation.destroy()
         return simulation.notices
 
     def run(self, remark: str = "") -> Outcome:
@@ -128,7 +130,7 @@ class Trial:
                 if self._is_doubtful(row, state):
                     doubtful.append(row)
         finally:
-            simulation.linear_solver.destroy()
+            simulation.destroy()
         return Outcome(steps, iterations, state, self._doubts(doubtful))
 
     def _build(self) -> Simulation:
@@ -166,7 +168,9 @@ class Trial:
         measured = judge.residual(result.x) | judge.distance(result.x, target)
         if np.isfinite(result.x).all() and math.isfinite(measured["residual_norm"]):
             status = CONVERGED if result.converged else STOPPED
-            if result.reason == budget.spent(result.iterations):
+            if result.is_fixed_work:
+                status = WORK_DONE
+            elif result.reason == budget.spent(result.iterations):
                 status = SPENT
             after: State | None = problem.accept(state, result.x)
             assert after is not None

@@ -84,6 +84,9 @@ def _read(
     if ranks > 1 and loaded.scene.linear_solver.method == "scipy_direct":
         key = ("linear_solver", "method")
         raise InputError([loaded.fault(key, f"scipy_direct is serial; use ksp on {ranks} ranks")])
+    if ranks > 1 and loaded.scene.contact.method == "ipc":
+        key = ("contact", "method")
+        raise InputError([loaded.fault(key, f"ipc is serial; run on one rank, not {ranks}, or use penalty")])
     folder = out if out is not None else Path("results") / loaded.path.stem
     # A run that was killed before its first checkpoint has nothing to go on from: it begins again.
     begin_again = resume and is_unsaved(folder)

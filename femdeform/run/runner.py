@@ -292,7 +292,7 @@ class _Run:
         self.n_frames += 1
 
     def _save(self, state: State) -> None:
-        """Write a checkpoint, and forget what the linear solver remembers: a resumed run starts without it too."""
+        """Write a checkpoint, and forget what the solvers remember: a resumed run starts without it too."""
         partition = self.simulation.discretization.partition
         x, v = partition.gather(state.x), partition.gather(state.v)
         if self.recorder is not None and x is not None and v is not None:
@@ -311,7 +311,7 @@ class _Run:
                     self.mesh_files,
                 ),
             )
-        self.simulation.linear_solver.reset()
+        self.simulation.reset()
         self.last_saved = state.step
 
     def _restore(self, checkpoint: Checkpoint) -> State:
@@ -340,7 +340,7 @@ class _Run:
         self._record_end(outcome.state, status, reason, verdicts, quantities)
         if self.last_saved != outcome.state.step:
             self._save(outcome.state)
-        self.simulation.linear_solver.destroy()
+        self.simulation.destroy()
         return _End(code, status, reason, outcome.state, verdicts)
 
     def _judge(self, outcome: LoopOutcome) -> tuple[list[dict[str, Any]], dict[str, float]]:
@@ -428,13 +428,12 @@ class _Run:
         from femdeform.info import versions
 
         discretization = self.simulation.discretization
-        tolerance = self.scene.solver.tolerance
         return {
             "title": self.scene.title,
             "simulation": self.scene.simulation,
             "method": self.scene.solver.method,
             "linear_solver": self.simulation.linear_solver.name,
-            "residual_tolerance": f"{tolerance:g} of the forces of each step (column force_scale, N)",
+            "residual_tolerance": self.scene.solver.accuracy,
             "n_dofs": discretization.n_dofs,
             "n_cells": sum(mesh.n_cells for mesh in self.simulation.meshes.values()),
             "ranks": 1 if self.comm is None else self.comm.Get_size(),

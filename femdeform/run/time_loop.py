@@ -118,7 +118,7 @@ def run_time_loop(
         dt = control.next_step(state.time)
         problem.begin_step(state, dt)
         result = solver.step(problem, state, observe(state.step + 1))
-        if result.converged:
+        if result.accepted:
             state = problem.accept(state, result.x)
             control.accepted()
             on_accept(state, result, dt)

@@ -10,9 +10,12 @@ import numpy as np
 from femdeform import registry
 from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
+from femdeform.scene.contact_checks import contact_findings
+from femdeform.scene.contact_schema import IPCMethod
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
+from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.partial import sound_part
 from femdeform.scene.quantity_checks import quantity_findings
 from femdeform.scene.selection_checks import COMPONENTS, hint_of, judge_selection, vectors_inside
@@ -47,6 +50,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *_dimension_findings(loaded.scene, meshes),
         *_selection_findings(loaded.scene, meshes, frozenset(coarse)),
         *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
+        *contact_findings(loaded.scene, meshes, frozenset(coarse)),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
     ]
@@ -191,11 +195,28 @@ def _time_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
 
 def _solver_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
     chosen = scene.linear_solver
+    if isinstance(scene.solver, MixedFEMSolver):
+        yield from _mixed_findings(scene, scene.solver)
     if isinstance(chosen, schema.KSPLinearSolver):
         known = registry.preset_names()
         if chosen.preset not in known:
             message = f"there is no preset `{chosen.preset}`; {did_you_mean(chosen.preset, known)}"
             yield Finding(("linear_solver", "preset"), message)
+
+
+def _mixed_findings(scene: schema.DeformableScene, solver: MixedFEMSolver) -> Iterator[Finding]:
+    for name, body in scene.bodies.items():
+        places: dict[KeyPath, schema.Material | None] = {("material",): body.material}
+        places |= {("regions", region): material for region, material in body.regions.items()}
+        for place, material in places.items():
+            if isinstance(material, schema.LinearMaterial):
+                message = "mixed_fem needs a law of the principal stretches, which `linear` is not; corotated is close"
+                yield Finding(("bodies", name, *place, "law"), message)
+    if solver.global_solve == "kkt_cg" and scene.time.scheme == "quasistatic":
+        yield Finding(("solver", "global_solve"), "kkt_cg needs inertia; use condensed or kkt_direct in statics")
+    if solver.scheme == "alternating" and isinstance(scene.contact, IPCMethod):
+        message = "alternating starts from free flight, which may end inside a barrier; use converged with contact ipc"
+        yield Finding(("solver", "scheme"), message)
 
 
 # ----------------------------------------------------------------------------------------------- whole files

@@ -52,3 +52,9 @@ def distinct(value: Any) -> Any:
     if len(set(value)) < len(value):
         raise ValueError("an entry is given twice")
     return value
+
+
+class LineSearch(SceneModel):
+    armijo: float = Field(default=1e-4, gt=0.0, lt=0.5, description="sufficient decrease [-]")
+    shrink: float = Field(default=0.5, gt=0.0, lt=1.0, description="factor of a backtrack [-]")
+    max_backtracks: int = Field(default=40, ge=1, description="backtracks before the step counts as failed")

@@ -15,11 +15,14 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.mesh_schema import MeshSource
+from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.quantity_schema import Expect, Quantity
 from femdeform.scene.scene_model import (
     Direction,
     Finite,
+    LineSearch,
     Name,
     NonNegative,
     Positive,
@@ -357,12 +360,6 @@ class QuasistaticTime(_TimeModel):
 Time = Annotated[BackwardEulerTime | QuasistaticTime, Field(discriminator="scheme")]
 
 
-class LineSearch(SceneModel):
-    armijo: float = Field(default=1e-4, gt=0.0, lt=0.5, description="sufficient decrease [-]")
-    shrink: float = Field(default=0.5, gt=0.0, lt=1.0, description="factor of a backtrack [-]")
-    max_backtracks: int = Field(default=40, ge=1, description="backtracks before the step counts as failed")
-
-
 class ProjectedNewtonSolver(SceneModel):
     method: Literal["projected_newton"] = Field(
         default="projected_newton", description="Newton with positive semi-definite element Hessians"
@@ -376,8 +373,16 @@ class ProjectedNewtonSolver(SceneModel):
     )
     line_search: LineSearch = Field(default=LineSearch(), description="backtracking line search (Armijo)")
 
+    @property
+    def accuracy(self) -> str:
+        """What a step promises, in words."""
+        return f"{self.tolerance:g} of the forces of each step (column force_scale, N)"
 
-Solver = ProjectedNewtonSolver
+
+Solver = Annotated[
+    Annotated[ProjectedNewtonSolver | MixedFEMSolver, Field(discriminator="method")],
+    BeforeValidator(default_tag("method", "projected_newton")),
+]
 
 
 class KSPLinearSolver(SceneModel):
@@ -427,6 +432,7 @@ class DeformableScene(SceneModel):
         default_factory=list, description="supports, motions, loads, initial velocities"
     )
     obstacles: list[Obstacle] = Field(default_factory=list, description="rigid obstacles")
+    contact: Contact = Field(default=PenaltyMethod(), description="how contact is treated")
     gravity: Vector | None = Field(default=None, description="acceleration of gravity [m/s^2]")
     gravity_amplitude: Amplitude | None = Field(
         default=None,

@@ -238,6 +238,15 @@ def test_the_serial_solver_is_refused(tmp_path: Path, two_ranks: Ranks) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_contact_between_bodies_is_refused(tmp_path: Path, two_ranks: Ranks) -> None:
+    write({**contact_scene(), "contact": {"method": "ipc"}}, tmp_path / "s.yaml")
+    done = two_ranks(*RUN, "s.yaml", "--out", "out")
+    assert done.returncode == 2
+    assert done.stderr.count("ipc is serial") == 1
+    assert "contact.method" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_existing_result_is_not_touched(tmp_path: Path, two_ranks: Ranks) -> None:
     write(contact_scene(), tmp_path / "s.yaml")
     (tmp_path / "out").mkdir()

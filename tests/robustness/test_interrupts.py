@@ -18,7 +18,7 @@ from scenario import write
 from femdeform import registry
 from femdeform.run import atomic, inputs, interrupts, recorder, runner, table
 from femdeform.run.checkpoint import is_unsaved, read_checkpoint
-from solvers.projected_newton import ProjectedNewton
+from solvers.descent import Descent
 
 Say = Callable[..., Said]
 Process = subprocess.CompletedProcess[str]
@@ -29,8 +29,8 @@ SIGNALS = [signal.SIGTERM, signal.SIGINT]
 MOMENTS = {
     "the first frame": (recorder.Recorder, "frame", 1, None),
     "the first checkpoint": (runner, "write_checkpoint", 1, None),
-    "the first step": (ProjectedNewton, "_direction", 1, 0),
-    "a later step": (ProjectedNewton, "_direction", 40, None),
+    "the first step": (Descent, "_direction", 1, 0),
+    "a later step": (Descent, "_direction", 40, None),
     "a row": (table, "_append", 60, None),
     "a row of the history": (recorder.Recorder, "step", 6, 6),
     "a frame": (recorder.Recorder, "frame", 3, 6),
@@ -121,7 +121,7 @@ def test_several_signals_are_as_good_as_one(
     scene, whole = unbroken
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        striking(patch, ProjectedNewton, "_direction", 20, signal.SIGINT)
+        striking(patch, Descent, "_direction", 20, signal.SIGINT)
         striking(patch, recorder.Recorder, "finish", 1, signal.SIGTERM)
         striking(patch, recorder.Recorder, "sync", 3, signal.SIGINT)
         assert say("run", scene, "--out", out, "--trace", "--quiet").code == 130
@@ -143,7 +143,7 @@ def test_after_a_failed_attempt(tmp_path: Path, say: Say, monkeypatch: pytest.Mo
     for count in (3, 9, 17, 28):
         out = tmp_path / f"out{count}"
         with monkeypatch.context() as patch:
-            striking(patch, ProjectedNewton, "_direction", count, signal.SIGTERM)
+            striking(patch, Descent, "_direction", count, signal.SIGTERM)
             assert say("run", scene, "--out", out, "--trace", "--quiet").code == 130
         assert say("run", scene, "--out", out, "--trace", "--resume", "--quiet").code == 0
         assert_same_result(whole, out)
@@ -155,7 +155,7 @@ def test_ignored_signals_stay_ignored(
     """A run that was started in the background with SIGINT ignored does not end by it."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        striking(monkeypatch, ProjectedNewton, "_direction", 20, signal.SIGINT)
+        striking(monkeypatch, Descent, "_direction", 20, signal.SIGINT)
         assert say("run", unbroken[0], "--out", tmp_path / "out", "--quiet").code == 0
     finally:
         signal.signal(signal.SIGINT, before)

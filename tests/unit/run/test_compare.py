@@ -21,6 +21,7 @@ from femdeform.scene.meshing import load_meshes
 from femdeform.step_problem import Budget
 from femdeform.types import Mesh
 from solvers.linear.scipy_direct import SciPyDirect
+from solvers.mixed_variational import MixedVariational
 
 EXACT = Variant("exact", ("solver.hessian=exact",))
 PROJECTED = Variant("projected", ("solver.hessian=projected",))
@@ -364,3 +365,38 @@ def test_judging_does_not_touch_the_problem_that_is_solved(tmp_path: Path, monke
     compare(write_bar(tmp_path), [EXACT, PROJECTED], iterations=3)
     assert len({id(problem) for problem in judged}) == 1
     assert len({id(problem) for problem in solved}) == 5  # the reference's, two warm-ups, two runs
+
+
+# ------------------------------------------------------------------------------------------------- methods
+
+
+def test_methods_with_a_promise_and_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mixed finite elements beside the reference: to a tolerance, with fixed work, and cut short by the budget."""
+    destroyed: list[str] = []
+    destroy = MixedVariational.destroy
+    monkeypatch.setattr(
+        MixedVariational, "destroy", lambda solver: (destroyed.append(solver.options.scheme), destroy(solver))[1]
+    )
+    few, many = (
+        Variant(f"{n} at most", ("solver.scheme=alternating", f"solver.inner_iterations={n}"), "mixed_fem")
+        for n in (4, 12)
+    )
+    path = write_bar(tmp_path, time={"scheme": "backward_euler", "dt": 0.02, "end": 0.2})
+    comparison = compare(path, [Variant("newton"), Variant("mixed", (), "mixed_fem"), few, many], iterations=8, steps=2)
+    for label in ("newton", "mixed"):
+        assert [row["status"] for row in comparison.of(label)] == ["converged"] * 2
+        assert max(row["distance_max"] for row in comparison.of(label)) < 1e-7
+    for row in comparison.of(few.label):
+        assert (row["status"], row["iterations"]) == ("work done", 4)
+        assert row["stopped_by"] == "fixed number of iterations"
+    for row in comparison.of(many.label):
+        assert (row["status"], row["iterations"]) == ("budget spent", 8)
+    for variant in (few, many):
+        rows = comparison.of(variant.label)
+        assert all(row["relative_residual"] > 1e-12 for row in rows)
+        start = iterations_of(comparison, variant.label)[0]
+        assert rows[0]["distance"] < 0.2 * start["distance"]
+    assert comparison.notices == []
+    # Once when a solver is set up, once when it is done with: a warm-up and a run for each variant.
+    assert destroyed.count("converged") == 4
+    assert destroyed.count("alternating") == 8
