@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from femdeform.contact.ipc import body_pairs, make_collision_mesh
 from femdeform.contact.obstacles import smooth_parts
@@ -14,6 +16,7 @@ from femdeform.contact.surface import CollisionSurface, SurfacePart, collision_s
 from femdeform.scene import schema
 from femdeform.scene.contact_schema import IPCMethod
 from femdeform.scene.key_path import KeyPath
+from femdeform.scene.point_location import locate_point
 from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
 
 # Gap at which the barrier starts, in mean edge lengths of the surface.
@@ -119,7 +122,11 @@ def initial_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) 
     surface = collision_surface(parts, np.concatenate(points))
     findings = [*_obstacle_findings(scene, surface)]
     if numbers.may_touch.any():
-        findings += _body_findings(surface, numbers)
+        found = _body_findings(surface, numbers)
+        findings += found
+        # Only where no surfaces meet, a piece of a body is inside another one as a whole or not at all.
+        if all(finding.is_notice for finding in found):
+            findings += _enclosed(scene, meshes, numbers)
     if numbers.thinned:
         message = f"bodies are thicker than their meshes are wide: contact takes them {numbers.offset:.3g} m thick"
         findings.append(InitialFinding(("contact",), message, True))
@@ -171,6 +178,39 @@ def _body_findings(surface: CollisionSurface, numbers: ContactNumbers) -> list[I
         )
         return [InitialFinding(("contact", "distance"), message, True)]
     return []
+
+
+def _enclosed(
+    scene: schema.DeformableScene, meshes: Mapping[str, Mesh], numbers: ContactNumbers
+) -> list[InitialFinding]:
+    """Pieces of bodies that lie inside the material of a solid without touching its surface."""
+    names = list(meshes)
+    solids = {i: meshes[name] for i, name in enumerate(names) if scene.bodies[name].kind == "solid"}
+    findings = []
+    for inner, name in enumerate(names):
+        pieces = _one_point_of_each_piece(meshes[name])
+        for outer, mesh in solids.items():
+            if inner == outer or not numbers.may_touch[inner, outer]:
+                continue
+            for point in pieces:
+                if locate_point(mesh, point) is not None:
+                    message = (
+                        f"`{name}` lies inside `{names[outer]}` at {_at(point)}; "
+                        "with contact.method ipc bodies have to start apart"
+                    )
+                    findings.append(InitialFinding(("bodies", name, "mesh"), message))
+                    break
+    return findings
+
+
+def _one_point_of_each_piece(mesh: Mesh) -> FloatArray:
+    """A point of every connected piece of a mesh, (n_pieces, dim) [m]."""
+    first = np.repeat(mesh.cells[:, 0], mesh.cells.shape[1] - 1)
+    links = coo_array((np.ones(first.size), (first, mesh.cells[:, 1:].ravel())), shape=(mesh.n_points,) * 2)
+    _, piece = connected_components(links, directed=False)
+    used = np.unique(mesh.cells)
+    _, where = np.unique(piece[used], return_index=True)
+    return np.asarray(mesh.points[used[where]])
 
 
 def _nearest(mesh: Any, collisions: Any, vertices: FloatArray) -> tuple[list[int], float]:

@@ -196,6 +196,25 @@ def test_spatial_bodies_that_start_inside_one_another(tmp_path: Path) -> None:
     assert "less than their thickness of 0.01 m" in fault
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_body_wholly_inside_another_is_refused(dim: int, tmp_path: Path) -> None:
+    inner = block([0.1] * dim, [1] * dim, translate=[0.22] * dim)
+    data = scene(
+        {"small": body(inner), "large": body(block([0.5] * dim, [2] * dim))},
+        contact={"method": "ipc"},
+    )
+    (fault,) = faults(tmp_path, data)
+    assert fault.startswith("bodies.small.mesh: `small` lies inside `large` at (0.22, 0.22")
+    with pytest.raises(InputError, match="lies inside"):
+        build(data)
+    # In the hole of a ring it is outside.
+    if dim == 2:
+        hole = {"recipe": "ring", "inner_radius": 0.4, "outer_radius": 0.5}
+        data["bodies"] |= {"large": body(hole)}
+        data["bodies"]["small"]["mesh"]["translate"] = [0.0, 0.0]
+        assert faults(tmp_path, data) == []
+
+
 def test_containers_are_their_walls() -> None:
     data = scene(
         {"b": body(block([0.2, 0.2], [1, 1], translate=[0.4, 0.4]))},
