@@ -209,7 +209,7 @@ def test_a_body_wholly_inside_another_is_refused(dim: int, tmp_path: Path) -> No
         build(data)
     # In the hole of a ring it is outside.
     if dim == 2:
-        hole = {"recipe": "ring", "inner_radius": 0.4, "outer_radius": 0.5}
+        hole = {"recipe": "ring", "inner_radius": 0.4, "outer_radius": 0.5, "angle": 6.2, "cells": [1, 40]}
         data["bodies"] |= {"large": body(hole)}
         data["bodies"]["small"]["mesh"]["translate"] = [0.0, 0.0]
         assert faults(tmp_path, data) == []
