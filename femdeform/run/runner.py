@@ -249,6 +249,8 @@ class _Run:
             "failed_attempts": self.n_failures,
             "stopped_by": result.reason,
         }
+        if problem.links is not None:
+            row["link_energy"] = problem.link_energy(state.x)
         self.measured = {f"measure.{name}": value for name, value in self.meter.evaluate(state).items()}
         if "reaction" in self.scene.output.fields:
             self.reactions = Snapshot(self.simulation, state).reactions
