@@ -9,6 +9,7 @@ import numpy as np
 
 from femdeform.contact.closest import closest_points
 from femdeform.fem.discretization import BodyNodes
+from femdeform.fem.energies import facet_shapes
 from femdeform.fem.node_sets import NodeSets, facet_loads, facet_measure
 from femdeform.scene import schema
 from femdeform.scene.key_path import KeyPath
@@ -59,13 +60,39 @@ def node_areas(
     """
     areas = np.zeros(n_nodes)
     for name, facets in surface_facets(selection, scene, meshes).items():
-        body, mesh = scene.bodies[name], meshes[name]
-        measure = facet_measure(mesh.points, facets)
-        if isinstance(body, schema.RodBody) and mesh.dim == 3:
-            measure = measure * np.sqrt(body.cross_section)
         nodes = sets.facet_nodes(name, facets)
+        measure = _measure(scene.bodies[name], meshes[name], facets)
         np.add.at(areas, nodes, measure[:, None] * facet_loads(facets.shape[1], nodes.shape[1]))
     return areas
+
+
+def facet_samples(
+    selection: Selection, scene: schema.DeformableScene, meshes: Mapping[str, Mesh], sets: NodeSets
+) -> list[tuple[IntArray, FloatArray, FloatArray]]:
+    """Quadrature points of the selected surface, body by body.
+
+    Returns
+    -------
+    list of (nodes, weights, areas)
+        Nodes of the whole problem (n, k), their shape functions at the points (n, k) and the area that belongs to each
+        point (n,) [m^2].
+    """
+    result = []
+    for name, facets in surface_facets(selection, scene, meshes).items():
+        nodes = sets.facet_nodes(name, facets)
+        shapes, _, weights = facet_shapes(facets.shape[1], nodes.shape[1])
+        measure = _measure(scene.bodies[name], meshes[name], facets)
+        areas = measure[:, None] * (weights / weights.sum())
+        n, n_q = areas.shape
+        result.append((np.repeat(nodes, n_q, axis=0), np.tile(shapes, (n, 1)), areas.ravel()))
+    return result
+
+
+def _measure(body: schema.Body, mesh: Mesh, facets: IntArray) -> FloatArray:
+    measure = facet_measure(mesh.points, facets)
+    if isinstance(body, schema.RodBody) and mesh.dim == 3:
+        return np.asarray(measure * np.sqrt(body.cross_section))
+    return measure
 
 
 @dataclass(frozen=True)
@@ -157,6 +184,19 @@ class SurfaceBody:
             barycentric = np.concatenate([1.0 - local.sum(axis=1, keepdims=True), local], axis=1)
         return cells, barycentric
 
+    def oriented_facets(self, found: Found, path: KeyPath) -> IntArray:
+        """Facets whose normals are the directions of a link, by nodes of the whole problem (n, dim).
+
+        Raises
+        ------
+        LinkError
+            If the body is a rod in space, which has no normal.
+        """
+        if self.facets.shape[1] != self.mesh.dim:
+            message = f"missing; the rod `{self.name}` has no normal in 3D, along which the link could act"
+            raise LinkError((*path, "direction"), message)
+        return np.asarray(self.first + self.facets[found.facet])
+
     def _parents(self, chosen: IntArray) -> tuple[IntArray, IntArray]:
         """Cell behind each of some facets, and the place of the facet's corners among those of the cell (n, k)."""
         cells, facets = self.mesh.cells, self.facets[chosen]
@@ -233,21 +273,3 @@ class HoldingSurface:
             weights[nearer] = 0.0
             weights[nearer, : place.shape[1]] = place[nearer]
         return Found(body, facet, weights, distance)
-
-    def facets_of(self, found: Found, path: KeyPath) -> IntArray:
-        """Facets whose normals are the directions of a link, by nodes of the whole problem (n, dim).
-
-        Raises
-        ------
-        LinkError
-            If a rod in space, which has no normal, is among them.
-        """
-        dim = self.bodies[0].mesh.dim
-        facets = np.empty((len(found.body), dim), dtype=np.int64)
-        for part in self.bodies:
-            if part.facets.shape[1] != dim:
-                message = f"missing; the rod `{part.name}` has no normal in 3D, along which the link could act"
-                raise LinkError((*path, "direction"), message)
-            mine = found.body == part.number
-            facets[mine] = part.first + part.facets[found.facet[mine]]
-        return facets

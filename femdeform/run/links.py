@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -12,7 +11,16 @@ from femdeform.errors import InputError
 from femdeform.fem.discretization import number_nodes
 from femdeform.fem.interpolation import nodal_weights
 from femdeform.fem.node_sets import NodeSets
-from femdeform.run.link_surfaces import HoldingSurface, LinkError, node_areas, place_in_words
+from femdeform.run.link_rows import Held, Side, assemble, joined
+from femdeform.run.link_surfaces import (
+    Found,
+    HoldingSurface,
+    LinkError,
+    SurfaceBody,
+    facet_samples,
+    node_areas,
+    place_in_words,
+)
 from femdeform.scene import schema
 from femdeform.scene.key_path import KeyPath, format_key
 from femdeform.scene.link_schema import (
@@ -31,6 +39,9 @@ from femdeform.types import FloatArray, IntArray, Mesh
 
 # A tie reaches so far, in mean edge lengths of the surface that holds.
 _REACH = 0.1
+# Gaps up to this part of the size of the bodies are none.
+_ROUNDING = 1e-9
+_NO_AREA = "holds nodes, but no facet of a surface whose area they could share"
 
 
 def make_links(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], notices: list[str]) -> ConstraintRows | None:
@@ -49,7 +60,7 @@ def make_links(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], notice
     except LinkError as fault:
         raise InputError(f"{format_key(fault.path)}: {fault.message}") from None
     notices += builder.notices
-    return _joined(parts)
+    return joined(parts)
 
 
 def link_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
@@ -68,40 +79,6 @@ def link_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> 
             builder.rows(number, name)
         except LinkError as fault:
             yield Finding(fault.path, fault.message)
-
-
-def _joined(parts: list[ConstraintRows]) -> ConstraintRows:
-    arrays = {
-        entry.name: np.concatenate([getattr(part, entry.name) for part in parts])
-        for entry in fields(ConstraintRows)
-        if entry.name != "offsets"
-    }
-    counts = np.concatenate([np.diff(part.offsets) for part in parts])
-    return ConstraintRows(np.concatenate([[0], np.cumsum(counts)]).astype(np.int64), **arrays)
-
-
-@dataclass(frozen=True)
-class _Side:
-    """One point of each of n rows: nodes (n, k) and weights (n, k), or a place in space with its velocity (n, dim)."""
-
-    nodes: IntArray
-    weights: FloatArray
-    place: FloatArray
-    velocity: FloatArray
-
-    @classmethod
-    def in_space(cls, place: FloatArray, velocity: FloatArray) -> _Side:
-        none = np.empty((len(place), 0))
-        return cls(none.astype(np.int64), none, place, np.broadcast_to(velocity, place.shape))
-
-    @classmethod
-    def of_nodes(cls, nodes: IntArray, weights: FloatArray, points: FloatArray) -> _Side:
-        place = np.einsum("nk,nkc->nc", weights, points[nodes])
-        return cls(nodes, weights, place, np.zeros_like(place))
-
-    @property
-    def is_in_space(self) -> bool:
-        return self.nodes.size == 0
 
 
 class LinkBuilder:
@@ -149,7 +126,8 @@ class LinkBuilder:
     def _spring(self, link: SpringLink, number: int, path: KeyPath) -> ConstraintRows:
         first, second = self._ends(link.ends, path)
         length = float(np.linalg.norm(first.place - second.place)) if link.length is None else link.length
-        rows = self._assemble(number, first, second, np.zeros((1, self._dim)), np.array([link.stiffness]), None)
+        stiffness = np.array([link.stiffness])
+        rows = assemble(number, len(self._points), first, second, np.zeros((1, self._dim)), stiffness, stiffness)
         _refuse_empty(rows, path)
         return ConstraintRows(**{**vars(rows), "length": np.array([length])})
 
@@ -158,18 +136,18 @@ class LinkBuilder:
         target = np.zeros((1, self._dim)) if link.offset is None else np.array([link.offset])
         if link.gap == "kept":
             target = first.place - second.place
-        rows = self._assemble(number, first, second, target, np.ones(1), link)
+        rows = self._rows(number, first, second, target, np.ones(1), link)
         _refuse_empty(rows, path)
         return rows
 
-    def _ends(self, ends: list[LinkEnd], path: KeyPath) -> tuple[_Side, _Side]:
+    def _ends(self, ends: list[LinkEnd], path: KeyPath) -> tuple[Side, Side]:
         first, second = (self._end(end, (*path, "ends", place)) for place, end in enumerate(ends))
         return first, second
 
-    def _end(self, end: LinkEnd, path: KeyPath) -> _Side:
+    def _end(self, end: LinkEnd, path: KeyPath) -> Side:
         point = np.array(end.at)
         if end.is_in_space:
-            return _Side.in_space(point[None], self._velocity_of(end.obstacle))
+            return Side.in_space(point[None], self._velocity_of(end.obstacle))
         names = list(self._meshes) if end.body is None else [end.body]
         found = {name: locate_point(self._meshes[name], point) for name in names}
         held = {name: place for name, place in found.items() if place is not None}
@@ -182,7 +160,7 @@ class LinkBuilder:
             raise LinkError((*path, "body"), f"missing; several bodies hold {place_in_words(point)}: {listed}")
         ((name, place),) = held.items()
         nodes, weights = self._interpolation(name, np.array([place.cell]), place.barycentric[None])
-        return _Side.of_nodes(nodes, weights, self._points)
+        return Side.of_nodes(nodes, weights, self._points)
 
     def _velocity_of(self, obstacle: int | None) -> FloatArray:
         velocity = None if obstacle is None else self._scene.obstacles[obstacle].velocity
@@ -208,123 +186,131 @@ class LinkBuilder:
         chosen = select_nodes(selection, self._meshes)
         return np.sort(np.concatenate([self._sets.from_points(body, n) for body, n in chosen.items()]))
 
-    def _held_nodes(self, link: TieLink | BindingLink | AttachmentLink, path: KeyPath) -> tuple[IntArray, FloatArray]:
-        """Nodes of `on`, increasing, and the factor of their stiffness: 1, or their share of the surface [m^2]."""
-        nodes = self._nodes(link.on)
-        if not isinstance(link, BindingLink) and link.per == "node":
-            return nodes, np.ones(nodes.size)
-        areas = node_areas(link.on, self._scene, self._meshes, self._sets, len(self._points))[nodes]
-        if not areas.any():
-            raise LinkError((*path, "on"), "holds nodes, but no facet of a surface whose area they could share")
-        return nodes[areas > 0.0], areas[areas > 0.0]
+    def _held_nodes(self, link: TieLink | BindingLink | AttachmentLink, path: KeyPath) -> Held:
+        """Nodes of `on`, increasing; the factor of their stiffness is 1, or their share of the surface [m^2]."""
+        nodes, factors = self._nodes(link.on), np.ones(1)
+        if isinstance(link, BindingLink) or link.per == "area":
+            shares = node_areas(link.on, self._scene, self._meshes, self._sets, len(self._points))
+            nodes = nodes[shares[nodes] > 0.0]
+            factors = shares[nodes]
+            if not nodes.size:
+                raise LinkError((*path, "on"), _NO_AREA)
+        side = Side.of_nodes(nodes[:, None], np.ones((nodes.size, 1)), self._points)
+        return Held(side, np.broadcast_to(factors, nodes.shape))
+
+    def _held_points(self, link: TieLink | BindingLink, path: KeyPath) -> list[Held]:
+        """What a surface is held by: its nodes, or for a tie by area the quadrature points of its facets."""
+        if isinstance(link, BindingLink) or link.per == "node":
+            return [self._held_nodes(link, path)]
+        samples = facet_samples(link.on, self._scene, self._meshes, self._sets)
+        if not samples:
+            raise LinkError((*path, "on"), _NO_AREA)
+        return [Held(Side.of_nodes(nodes, weights, self._points), areas) for nodes, weights, areas in samples]
 
     def _attachment(self, link: AttachmentLink, number: int, path: KeyPath) -> ConstraintRows:
-        nodes, factors = self._held_nodes(link, path)
-        place = self._points[nodes] if link.to is None else np.tile(np.array(link.to), (nodes.size, 1))
+        held = self._held_nodes(link, path)
+        own = held.side.place
+        place = own if link.to is None else np.tile(np.array(link.to), (len(own), 1))
         velocity = self._velocity_of(link.obstacle) if link.velocity is None else np.array(link.velocity)
-        first = _Side.of_nodes(nodes[:, None], np.ones((nodes.size, 1)), self._points)
-        return self._assemble(number, first, _Side.in_space(place, velocity), np.zeros_like(place), factors, link)
+        second = Side.in_space(place, velocity)
+        return self._rows(number, held.side, second, np.zeros_like(place), held.factors, link)
 
     def _surfaces(self, link: TieLink | BindingLink, number: int, path: KeyPath) -> ConstraintRows:
-        nodes, factors = self._held_nodes(link, path)
+        every = self._held_points(link, path)
         surface = HoldingSurface(link.to, self._scene, self._meshes, self._bodies, (*path, "to"))
-        shared = np.intersect1d(nodes, surface.nodes)
+        shared = np.intersect1d(np.concatenate([held.side.nodes.ravel() for held in every]), surface.nodes)
         if shared.size:
             where = place_in_words(self._points[shared[0]])
             message = f"holds nodes of `on` as well, {shared.size} of them ({where} first): they would hold themselves"
             raise LinkError((*path, "to"), message)
-        points = self._points[nodes]
-        found = surface.closest(points)
-        if isinstance(link, TieLink):
-            self._refuse_far(link, points, found.distance, surface, path)
-        else:
-            near = found.distance <= link.within
-            if not near.any():
-                message = f"no node is that near: the closest is {found.distance.min():.4g} m from the surface"
-                raise LinkError((*path, "within"), message)
-            nodes, factors, points = nodes[near], factors[near], points[near]
-            found = found.select(np.flatnonzero(near))
-        facets = np.full((nodes.size, self._dim), -1, dtype=np.int64)
-        if link.tangential_stiffness is not None and link.direction is None:
-            facets = surface.facets_of(found, path)
+        found = [surface.closest(held.side.place) for held in every]
+        reach = self._reach(link, every, np.concatenate([some.distance for some in found]), surface, path)
         parts = []
-        for body in surface.bodies:
-            mine = np.flatnonzero(found.body == body.number)
-            if not mine.size:
-                continue
-            cells, barycentric = body.in_cells(found.select(mine), points[mine], link.gap == "kept")
-            held, weights = self._interpolation(body.name, cells, barycentric)
-            first = _Side.of_nodes(nodes[mine, None], np.ones((mine.size, 1)), self._points)
-            second = _Side.of_nodes(held, weights, self._points)
-            target = np.zeros((mine.size, self._dim))
-            if link.gap == "kept" and body.is_thin:
-                target = first.place - second.place
-                if np.linalg.norm(target, axis=1).max(initial=0.0) > 1e-9 * surface.size:
-                    self.notices.append(
-                        f"{format_key(path)}: `{body.name}` is thin: the gap that is kept does not turn with it"
-                    )
-            parts.append(self._assemble(number, first, second, target, factors[mine], link, facets[mine]))
-        return _joined(parts)
+        for held, some in zip(every, found, strict=True):
+            near = np.flatnonzero(some.distance <= reach)
+            for body in surface.bodies:
+                mine = near[some.body[near] == body.number]
+                if mine.size:
+                    parts.append(self._held_by(link, number, held.select(mine), some.select(mine), surface, body, path))
+        return joined(parts)
 
-    def _refuse_far(
-        self, link: TieLink, points: FloatArray, distance: FloatArray, surface: HoldingSurface, path: KeyPath
-    ) -> None:
+    def _held_by(
+        self,
+        link: TieLink | BindingLink,
+        number: int,
+        held: Held,
+        found: Found,
+        surface: HoldingSurface,
+        body: SurfaceBody,
+        path: KeyPath,
+    ) -> ConstraintRows:
+        """Rows of points that one body holds."""
+        first = held.side
+        cells, barycentric = body.in_cells(found, first.place, link.gap == "kept")
+        second = Side.of_nodes(*self._interpolation(body.name, cells, barycentric), self._points)
+        target = np.zeros_like(first.place)
+        if link.gap == "kept" and body.is_thin:
+            target = first.place - second.place
+            if np.linalg.norm(target, axis=1).max() > _ROUNDING * surface.size:
+                notice = f"{format_key(path)}: `{body.name}` is thin: the gap that is kept does not turn with it"
+                self.notices.append(notice)
+        facets = None
+        if link.tangential_stiffness is not None and link.direction is None:
+            facets = body.oriented_facets(found, path)
+        return self._rows(number, first, second, target, held.factors, link, facets)
+
+    def _reach(
+        self,
+        link: TieLink | BindingLink,
+        every: list[Held],
+        distance: FloatArray,
+        surface: HoldingSurface,
+        path: KeyPath,
+    ) -> float:
+        """Distance up to which points are held; what is farther from a tie is an error."""
+        if isinstance(link, BindingLink):
+            if distance.min() > link.within:
+                message = f"no node is that near: the closest is {distance.min():.4g} m from the surface"
+                raise LinkError((*path, "within"), message)
+            return link.within
         reach = _REACH * surface.mean_edge if link.max_distance is None else link.max_distance
-        far = np.flatnonzero(distance > reach)
-        if far.size:
+        far = int(np.count_nonzero(distance > reach))
+        if far:
             worst = int(np.argmax(distance))
+            points = np.concatenate([held.side.place for held in every])
             given = "" if link.max_distance is not None else ", a tenth of its mean edge"
             message = (
-                f"{far.size} of {distance.size} nodes are farther than {reach:.4g} m{given} from the surface that is "
-                f"to hold them; the farthest, at {place_in_words(points[worst])}, by {distance[worst]:.4g} m"
+                f"{far} of {distance.size} {link.points_in_words} are farther than {reach:.4g} m{given} from the "
+                f"surface that is to hold them; the farthest, at {place_in_words(points[worst])}, by {distance[worst]:.4g} m"
             )
             raise LinkError((*path, "max_distance") if link.max_distance is not None else path, message)
+        return reach
 
-    # --------------------------------------------------------------------------------------------- the rows
-
-    def _assemble(
+    def _rows(
         self,
         number: int,
-        first: _Side,
-        second: _Side,
+        first: Side,
+        second: Side,
         target: FloatArray,
         factors: FloatArray,
-        link: PairLink | AttachmentLink | TieLink | BindingLink | None,
+        link: PairLink | AttachmentLink | TieLink | BindingLink,
         facets: IntArray | None = None,
     ) -> ConstraintRows:
-        """Rows of C = first - second - target, with the stiffness of a link times factors, or the factors alone."""
-        n = len(factors)
-        for sign, side in ((1.0, first), (-1.0, second)):
-            if side.is_in_space:
-                target = target - sign * side.place
-        velocity = (second.velocity if second.is_in_space else 0.0) - (first.velocity if first.is_in_space else 0.0)
-        nodes = np.concatenate([first.nodes, second.nodes], axis=1)
-        weights = np.concatenate([first.weights, -second.weights], axis=1)
-        # A node that both points depend on enters once.
-        key = (np.arange(n)[:, None] * len(self._points) + nodes).ravel()
-        unique, inverse = np.unique(key, return_inverse=True)
-        total = np.bincount(inverse.ravel(), weights=weights.ravel(), minlength=unique.size)
-        unique, total = unique[total != 0.0], total[total != 0.0]
-        counts = np.bincount(unique // len(self._points), minlength=n)
-        across = along = 1.0
-        direction = np.zeros((n, self._dim))
-        if link is not None:
-            along = link.stiffness
-            across = along if link.tangential_stiffness is None else link.tangential_stiffness
-            if link.direction is not None:
-                direction[:] = np.array(link.direction) / np.linalg.norm(link.direction)
-        return ConstraintRows(
-            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            unique % len(self._points),
-            total,
+        """Rows of C = first - second - target with the stiffness of a link times factors."""
+        across = link.stiffness if link.tangential_stiffness is None else link.tangential_stiffness
+        direction = np.zeros_like(target)
+        if link.direction is not None:
+            direction[:] = np.array(link.direction) / np.linalg.norm(link.direction)
+        return assemble(
+            number,
+            len(self._points),
+            first,
+            second,
             target,
-            np.broadcast_to(velocity, target.shape).copy(),
-            np.zeros(n),
-            along * factors,
+            link.stiffness * factors,
             across * factors,
             direction,
-            np.full((n, self._dim), -1, dtype=np.int64) if facets is None else facets,
-            np.full(n, number, dtype=np.int64),
+            facets,
         )
 
 

@@ -142,16 +142,23 @@ class _Surfaces(_Directed):
 
 
 class TieLink(_Surfaces):
-    kind: Literal["tie"] = Field(description="every node of a surface held to the closest point of another one")
+    kind: Literal["tie"] = Field(description="a surface held to the closest points of another one")
     stiffness: NonNegative = Field(description="force per displacement, of each node [N/m], or per area [Pa/m]")
     per: Literal["node", "area"] = Field(
-        default="node", description="node: every node has the whole stiffness; area: that of its share of the surface"
+        default="node",
+        description="node: every node is held, with the whole stiffness; area: the quadrature points of every facet "
+        "are held, each with the stiffness of its share of the surface",
     )
     max_distance: Positive | None = Field(
         default=None,
         description="distance from the surface beyond which a node is an error [m]; default: a tenth of the mean edge "
         "length of the surface",
     )
+
+    @property
+    def points_in_words(self) -> str:
+        """What is held."""
+        return "nodes" if self.per == "node" else "points"
 
 
 class BindingLink(_Surfaces):
