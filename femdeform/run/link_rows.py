@@ -80,7 +80,10 @@ def assemble(
         Number of the link they are of.
     n_global : int
         Nodes of the whole problem.
-    first, second : Side
+    first : Side
+        Points that enter with plus.
+    second : Side
+        Points that enter with minus.
     target : (n, dim) float64
         Difference of the points that is without force [m].
     normal, tangential : (n,) float64

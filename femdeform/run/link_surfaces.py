@@ -15,7 +15,7 @@ from femdeform.scene import schema
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.selection_schema import Selection
 from femdeform.scene.selections import select_facets, select_nodes
-from femdeform.types import FloatArray, IntArray, Mesh
+from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
 
 
 class LinkError(Exception):
@@ -51,17 +51,22 @@ def surface_facets(
 
 
 def node_areas(
-    selection: Selection, scene: schema.DeformableScene, meshes: Mapping[str, Mesh], sets: NodeSets, n_nodes: int
+    selection: Selection,
+    scene: schema.DeformableScene,
+    meshes: Mapping[str, Mesh],
+    sets: NodeSets,
+    counted: BoolArray,
 ) -> FloatArray:
-    """Share of the selected surface that belongs to each node of the whole problem, (n_nodes,) [m^2].
+    """Share of the selected surface that belongs to each node of the whole problem, (n_global,) [m^2].
 
-    That of a constant traction: nothing for the corners of quadratic triangles. Rods in space are as wide as the side
-    of a square section; in 2D areas are lengths, per unit thickness.
+    Facets count all of whose nodes do (`counted`, (n_global,) bool). A share is that of a constant traction: nothing
+    for the corners of quadratic triangles. Rods in space are as wide as the side of a square section; in 2D areas are
+    lengths, per unit thickness.
     """
-    areas = np.zeros(n_nodes)
+    areas = np.zeros(counted.size)
     for name, facets in surface_facets(selection, scene, meshes).items():
         nodes = sets.facet_nodes(name, facets)
-        measure = _measure(scene.bodies[name], meshes[name], facets)
+        measure = _measure(scene.bodies[name], meshes[name], facets) * counted[nodes].all(axis=1)
         np.add.at(areas, nodes, measure[:, None] * facet_loads(facets.shape[1], nodes.shape[1]))
     return areas
 

@@ -35,7 +35,7 @@ from femdeform.scene.point_location import locate_point
 from femdeform.scene.selection_schema import Selection
 from femdeform.scene.selections import select_nodes
 from femdeform.scene.validation import Finding
-from femdeform.types import FloatArray, IntArray, Mesh
+from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
 
 # A tie reaches so far, in mean edge lengths of the surface that holds.
 _REACH = 0.1
@@ -186,21 +186,34 @@ class LinkBuilder:
         chosen = select_nodes(selection, self._meshes)
         return np.sort(np.concatenate([self._sets.from_points(body, n) for body, n in chosen.items()]))
 
-    def _held_nodes(self, link: TieLink | BindingLink | AttachmentLink, path: KeyPath) -> Held:
+    def _held_nodes(self, link: TieLink | AttachmentLink, path: KeyPath) -> Held:
         """Nodes of `on`, increasing; the factor of their stiffness is 1, or their share of the surface [m^2]."""
-        nodes, factors = self._nodes(link.on), np.ones(1)
-        if isinstance(link, BindingLink) or link.per == "area":
-            shares = node_areas(link.on, self._scene, self._meshes, self._sets, len(self._points))
-            nodes = nodes[shares[nodes] > 0.0]
-            factors = shares[nodes]
-            if not nodes.size:
-                raise LinkError((*path, "on"), _NO_AREA)
-        side = Side.of_nodes(nodes[:, None], np.ones((nodes.size, 1)), self._points)
-        return Held(side, np.broadcast_to(factors, nodes.shape))
+        nodes = self._nodes(link.on)
+        if link.per == "node":
+            return self._held(nodes, np.ones(nodes.size))
+        return self._sharing(link.on, np.ones(len(self._points), dtype=bool), (*path, "on"), _NO_AREA)
 
-    def _held_points(self, link: TieLink | BindingLink, path: KeyPath) -> list[Held]:
-        """What a surface is held by: its nodes, or for a tie by area the quadrature points of its facets."""
-        if isinstance(link, BindingLink) or link.per == "node":
+    def _held(self, nodes: IntArray, factors: FloatArray) -> Held:
+        return Held(Side.of_nodes(nodes[:, None], np.ones((nodes.size, 1)), self._points), factors)
+
+    def _sharing(self, on: Selection, counted: BoolArray, path: KeyPath, otherwise: str) -> Held:
+        """Nodes with a share of the surface of the facets all of whose nodes count."""
+        shares = node_areas(on, self._scene, self._meshes, self._sets, counted)
+        nodes = np.flatnonzero(shares > 0.0)
+        if not nodes.size:
+            raise LinkError(path, otherwise)
+        return self._held(nodes, shares[nodes])
+
+    def _held_points(self, link: TieLink | BindingLink, surface: HoldingSurface, path: KeyPath) -> list[Held]:
+        """What a surface holds: nodes, or for a tie by area the quadrature points of facets."""
+        if isinstance(link, BindingLink):
+            nodes = self._nodes(link.on)
+            distance = surface.closest(self._points[nodes]).distance
+            near = np.zeros(len(self._points), dtype=bool)
+            near[nodes[distance <= link.within]] = True
+            message = f"no facet of `on` is that near with all its nodes; the closest node is at {distance.min():.4g} m"
+            return [self._sharing(link.on, near, (*path, "within"), message)]
+        if link.per == "node":
             return [self._held_nodes(link, path)]
         samples = facet_samples(link.on, self._scene, self._meshes, self._sets)
         if not samples:
@@ -216,20 +229,20 @@ class LinkBuilder:
         return self._rows(number, held.side, second, np.zeros_like(place), held.factors, link)
 
     def _surfaces(self, link: TieLink | BindingLink, number: int, path: KeyPath) -> ConstraintRows:
-        every = self._held_points(link, path)
         surface = HoldingSurface(link.to, self._scene, self._meshes, self._bodies, (*path, "to"))
-        shared = np.intersect1d(np.concatenate([held.side.nodes.ravel() for held in every]), surface.nodes)
+        shared = np.intersect1d(self._nodes(link.on), surface.nodes)
         if shared.size:
             where = place_in_words(self._points[shared[0]])
             message = f"holds nodes of `on` as well, {shared.size} of them ({where} first): they would hold themselves"
             raise LinkError((*path, "to"), message)
+        every = self._held_points(link, surface, path)
         found = [surface.closest(held.side.place) for held in every]
-        reach = self._reach(link, every, np.concatenate([some.distance for some in found]), surface, path)
+        if isinstance(link, TieLink):
+            self._refuse_far(link, every, np.concatenate([some.distance for some in found]), surface, path)
         parts = []
         for held, some in zip(every, found, strict=True):
-            near = np.flatnonzero(some.distance <= reach)
             for body in surface.bodies:
-                mine = near[some.body[near] == body.number]
+                mine = np.flatnonzero(some.body == body.number)
                 if mine.size:
                     parts.append(self._held_by(link, number, held.select(mine), some.select(mine), surface, body, path))
         return joined(parts)
@@ -259,32 +272,21 @@ class LinkBuilder:
             facets = body.oriented_facets(found, path)
         return self._rows(number, first, second, target, held.factors, link, facets)
 
-    def _reach(
-        self,
-        link: TieLink | BindingLink,
-        every: list[Held],
-        distance: FloatArray,
-        surface: HoldingSurface,
-        path: KeyPath,
-    ) -> float:
-        """Distance up to which points are held; what is farther from a tie is an error."""
-        if isinstance(link, BindingLink):
-            if distance.min() > link.within:
-                message = f"no node is that near: the closest is {distance.min():.4g} m from the surface"
-                raise LinkError((*path, "within"), message)
-            return link.within
+    def _refuse_far(
+        self, link: TieLink, every: list[Held], distance: FloatArray, surface: HoldingSurface, path: KeyPath
+    ) -> None:
         reach = _REACH * surface.mean_edge if link.max_distance is None else link.max_distance
         far = int(np.count_nonzero(distance > reach))
         if far:
             worst = int(np.argmax(distance))
             points = np.concatenate([held.side.place for held in every])
-            given = "" if link.max_distance is not None else ", a tenth of its mean edge"
+            given = "" if link.max_distance is not None else " (a tenth of its mean edge)"
             message = (
                 f"{far} of {distance.size} {link.points_in_words} are farther than {reach:.4g} m{given} from the "
-                f"surface that is to hold them; the farthest, at {place_in_words(points[worst])}, by {distance[worst]:.4g} m"
+                f"surface that is to hold them; the farthest, at {place_in_words(points[worst])}, by "
+                f"{distance[worst]:.4g} m"
             )
             raise LinkError((*path, "max_distance") if link.max_distance is not None else path, message)
-        return reach
 
     def _rows(
         self,

@@ -35,6 +35,8 @@ class LinkEnd(SceneModel):
 
 
 def _check_ends(ends: list[LinkEnd]) -> None:
+    if len(ends) != 2:
+        raise ValueError(f"ends: needs two points, not {len(ends)}")
     if all(end.is_in_space for end in ends):
         raise ValueError("ends: one of them has to be a point of a body")
 
@@ -71,7 +73,7 @@ class _Points(_Directed):
 
 class PairLink(_Points):
     kind: Literal["pair"] = Field(description="two points held together")
-    ends: list[LinkEnd] = Field(min_length=2, max_length=2, description="the two points")
+    ends: list[LinkEnd] = Field(description="the two points")
     gap: Literal["closed", "kept"] = Field(
         default="closed",
         description="closed: the points are pulled onto one another; kept: the vector between them at time 0 is kept",
@@ -90,7 +92,7 @@ class PairLink(_Points):
 
 class SpringLink(SceneModel):
     kind: Literal["spring"] = Field(description="spring between two points, which pulls along the line through them")
-    ends: list[LinkEnd] = Field(min_length=2, max_length=2, description="the two points")
+    ends: list[LinkEnd] = Field(description="the two points")
     stiffness: Positive = Field(description="force per elongation [N/m]")
     length: NonNegative | None = Field(
         default=None, description="length without force [m]; default: the distance at time 0"
