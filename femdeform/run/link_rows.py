@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +48,12 @@ class Side:
     def is_in_space(self) -> bool:
         """Whether the points belong to no body."""
         return int(self.nodes.shape[1]) == 0
+
+    def as_data(self) -> dict[str, list[Any]]:
+        """The point of the first row, as plain data."""
+        if self.is_in_space:
+            return {"place": self.place[0].tolist(), "velocity": self.velocity[0].tolist()}
+        return {"nodes": self.nodes[0].tolist(), "weights": self.weights[0].tolist()}
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -61,6 +62,22 @@ def make_links(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], notice
         raise InputError(f"{format_key(fault.path)}: {fault.message}") from None
     notices += builder.notices
     return joined(parts)
+
+
+def link_lines(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> list[list[dict[str, Any]]]:
+    """The lines between the two ends of springs and pairs, as plain data for pictures.
+
+    Returns
+    -------
+    list of [end, end]
+        An end has `nodes` of the whole problem and `weights`, or a `place` at time 0 [m] and its `velocity` [m/s].
+    """
+    builder = LinkBuilder(scene, meshes) if scene.links else None
+    lines = []
+    for name, link in scene.links.items():
+        if builder is not None and isinstance(link, (SpringLink, PairLink)):
+            lines.append([side.as_data() for side in builder.ends(link.ends, ("links", name))])
+    return lines
 
 
 def link_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
@@ -124,7 +141,7 @@ class LinkBuilder:
     # ------------------------------------------------------------------------------------------ two points
 
     def _spring(self, link: SpringLink, number: int, path: KeyPath) -> ConstraintRows:
-        first, second = self._ends(link.ends, path)
+        first, second = self.ends(link.ends, path)
         length = float(np.linalg.norm(first.place - second.place)) if link.length is None else link.length
         stiffness = np.array([link.stiffness])
         rows = assemble(number, len(self._points), first, second, np.zeros((1, self._dim)), stiffness, stiffness)
@@ -132,7 +149,7 @@ class LinkBuilder:
         return ConstraintRows(**{**vars(rows), "length": np.array([length])})
 
     def _pair(self, link: PairLink, number: int, path: KeyPath) -> ConstraintRows:
-        first, second = self._ends(link.ends, path)
+        first, second = self.ends(link.ends, path)
         target = np.zeros((1, self._dim)) if link.offset is None else np.array([link.offset])
         if link.gap == "kept":
             target = first.place - second.place
@@ -140,7 +157,14 @@ class LinkBuilder:
         _refuse_empty(rows, path)
         return rows
 
-    def _ends(self, ends: list[LinkEnd], path: KeyPath) -> tuple[Side, Side]:
+    def ends(self, ends: list[LinkEnd], path: KeyPath) -> tuple[Side, Side]:
+        """Both points of a spring or pair, each of one row.
+
+        Raises
+        ------
+        LinkError
+            If a point lies in no cell, or in cells of several bodies.
+        """
         first, second = (self._end(end, (*path, "ends", place)) for place, end in enumerate(ends))
         return first, second
 

@@ -20,6 +20,7 @@ from femdeform.run.expectations import check_expectations, describe_verdict
 from femdeform.run.failure import end_all_ranks, reason_of
 from femdeform.run.inputs import RunInput, read_together
 from femdeform.run.interrupts import INTERRUPTED, Interrupts, last_words
+from femdeform.run.links import link_lines
 from femdeform.run.output import FrameSource
 from femdeform.run.progress import Progress
 from femdeform.run.quantities import Meter, Snapshot, standard_quantities
@@ -445,4 +446,5 @@ class _Run:
             "scene_file": self.loaded.path.name,
             "bodies": list(self.scene.bodies),
             "obstacles": [obstacle.model_dump(mode="json") for obstacle in self.scene.obstacles],
+            "link_lines": link_lines(self.scene, self.simulation.meshes),
         }
