@@ -72,12 +72,11 @@ def link_lines(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> lis
     list of [end, end]
         An end has `nodes` of the whole problem and `weights`, or a `place` at time 0 [m] and its `velocity` [m/s].
     """
-    builder = LinkBuilder(scene, meshes) if scene.links else None
-    lines = []
-    for name, link in scene.links.items():
-        if builder is not None and isinstance(link, (SpringLink, PairLink)):
-            lines.append([side.as_data() for side in builder.ends(link.ends, ("links", name))])
-    return lines
+    ends = {name: link.ends for name, link in scene.links.items() if isinstance(link, (SpringLink, PairLink))}
+    if not ends:
+        return []
+    builder = LinkBuilder(scene, meshes)
+    return [[side.as_data() for side in builder.ends(pair, ("links", name))] for name, pair in ends.items()]
 
 
 def link_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
