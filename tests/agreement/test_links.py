@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenario import Array, advance, block, body, build, displacement, material, quasistatic, run, scene
+from scenario import Array, advance, block, body, build, displacement, material, quasistatic, run, scene, step
 
 from femdeform.fem.fields import cell_field
 from femdeform.run.quantities import Meter
@@ -79,6 +79,57 @@ def test_newton_and_mixed_elements_agree(law: str) -> None:
     size = np.abs(displacement(newton)).max()
     assert size > 0.01
     np.testing.assert_allclose(displacement(mixed), displacement(newton), atol=1e-8 * size)
+
+
+@pytest.mark.parametrize("stiffness", [1e4, 1e8])
+@pytest.mark.parametrize("gap", ["kept", "closed"])
+def test_iterations_do_not_grow_with_stiffness(gap: str, stiffness: float) -> None:
+    """Links are convex: twisting two bars that are tied over a gap, with other meshes, is as easy as one."""
+    stuff = material("stable_neo_hookean", E=1e5, nu=0.3)
+    tie = {"kind": "tie", "on": "b.left", "to": "a.right", "stiffness": stiffness, "gap": gap, "max_distance": 0.1}
+    for solver in ({"tolerance": 1e-8}, {"method": "mixed_fem", "tolerance": 1e-8}):
+        simulation = build(
+            scene(
+                {
+                    "a": body(block([1.0, 0.3, 0.3], [4, 2, 2]), stuff),
+                    "b": body(block([1.0, 0.3, 0.3], [5, 3, 3], translate=[1.05, 0, 0]), stuff),
+                },
+                {"kind": "fixed", "on": "a.left"},
+                {"kind": "twist", "on": "b.right", "axis": [1, 0, 0], "rate": 3.0, "elongation_rate": 0.2},
+                links={"t": tie},
+                time=quasistatic(0.25),
+                solver=solver,
+            )
+        )
+        assert max(step(simulation).iterations for _ in range(4)) <= 10
+
+
+def test_a_link_pulls_bodies_into_contact() -> None:
+    """With barriers between the bodies both solvers arrive at the same place, and nothing is crossed."""
+    ends = [{"at": [0.5, 0.1], "body": "a"}, {"at": [0.5, 0.35], "body": "b"}]
+    results = []
+    for solver in (TIGHT, MIXED):
+        simulation = build(
+            scene(
+                {
+                    "a": body(block([1.0, 0.2], [6, 2])),
+                    "b": body(block([0.6, 0.2], [4, 2], translate=[0.2, 0.22])),
+                },
+                {"kind": "fixed", "on": "a.bottom"},
+                {"kind": "fixed", "on": "b", "components": ["x"]},
+                links={"l": {"kind": "pair", "ends": ends, "stiffness": 2000.0}},
+                contact={"method": "ipc"},
+                solver=solver,
+                time={"scheme": "backward_euler", "dt": 0.04, "end": 1.0},
+            )
+        )
+        advance(simulation, 4)
+        (contact,) = simulation.problem.couplings
+        assert contact.value(simulation.state.x) > 0.0
+        assert not contact.intersects(simulation.state.x)
+        results.append(displacement(simulation))
+    assert results[0][:, 1].min() < -0.01
+    np.testing.assert_allclose(results[1], results[0], atol=1e-7 * np.abs(results[0]).max())
 
 
 def test_the_interactive_scheme_knows_links() -> None:
