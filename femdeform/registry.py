@@ -32,6 +32,9 @@ MESH: dict[str, str] = {
 # Where bodies with incremental potential contact start.
 INITIAL_CONTACT = "femdeform.contact.ipc_setup:initial_findings"
 
+# What the geometry of links between bodies does not allow.
+LINK_GEOMETRY = "femdeform.run.links:link_findings"
+
 PARTITIONER = "solvers.linear.partition:partition_cells"
 
 BENCHMARKS: dict[str, str] = {

@@ -234,8 +234,31 @@ def _lump(mass: FloatArray, order: int) -> FloatArray:
     return np.asarray(diagonal * (total / diagonal.sum(axis=1))[:, None])
 
 
+def number_nodes(bodies: Mapping[str, tuple[Mesh, int]]) -> tuple[dict[str, BodyNodes], FloatArray]:
+    """Number the nodes of bodies, given by mesh and order, one body after the other.
+
+    Returns
+    -------
+    nodes : dict of str to BodyNodes
+    points : (n_global, dim) float64
+        Reference positions [m].
+    """
+    nodes: dict[str, BodyNodes] = {}
+    parts: list[FloatArray] = []
+    first = 0
+    for name, (mesh, order) in bodies.items():
+        points, connectivity = node_connectivity(mesh, order)
+        nodes[name] = BodyNodes(first, mesh.n_points, len(points), connectivity)
+        parts.append(points)
+        first += len(points)
+    return nodes, np.concatenate(parts)
+
+
 def discretize(
-    bodies: Mapping[str, BodyInput], cell_rank: Mapping[str, IntArray] | None, comm: Any | None
+    bodies: Mapping[str, BodyInput],
+    cell_rank: Mapping[str, IntArray] | None,
+    comm: Any | None,
+    coupled: tuple[IntArray, IntArray] | None = None,
 ) -> Discretization:
     """Discretize the bodies of a scene.
 
@@ -247,6 +270,9 @@ def discretize(
         Rank that owns each cell of each body; None for a serial run.
     comm : mpi4py communicator or None
         None for a serial run.
+    coupled : ((n,) int64, (n,) int64), optional
+        Pairs of nodes of the whole problem, numbered as by `number_nodes`: the rank that owns the first holds the
+        second too, beside the nodes of its cells.
 
     Returns
     -------
@@ -264,28 +290,24 @@ def discretize(
     dim = dims.pop()
     rank = 0 if comm is None else comm.Get_rank()
 
-    nodes_of: dict[str, BodyNodes] = {}
-    points_of: list[FloatArray] = []
+    nodes_of, all_points = number_nodes({name: (body.mesh, body.order) for name, body in bodies.items()})
     owner_of: list[IntArray] = []
     touched: list[IntArray] = []
-    first = 0
-    for name, body in bodies.items():
-        points, connectivity = node_connectivity(body.mesh, body.order)
-        nodes_of[name] = BodyNodes(first, body.mesh.n_points, len(points), connectivity)
-        points_of.append(points)
+    for name, held in nodes_of.items():
+        connectivity = held.connectivity
         ranks = np.zeros(len(connectivity), dtype=np.int64) if cell_rank is None else cell_rank[name]
         # A node belongs to the lowest rank among its cells: every rank finds the same answer by itself.
-        owner = np.full(len(points), np.iinfo(np.int64).max)
+        owner = np.full(held.n_nodes, np.iinfo(np.int64).max)
         np.minimum.at(owner, connectivity.ravel(), np.repeat(ranks, connectivity.shape[1]))
         owner_of.append(owner)
-        touched.append(first + np.unique(connectivity[ranks == rank]))
-        first += len(points)
+        touched.append(held.first + np.unique(connectivity[ranks == rank]))
 
     owner = np.concatenate(owner_of)
-    all_points = np.concatenate(points_of)
+    if coupled is not None:
+        touched.append(np.unique(coupled[1][owner[coupled[0]] == rank]))
     local = np.union1d(np.concatenate(touched), np.flatnonzero(owner == rank))
     partition = Partition(owner, local, comm)
-    to_local = np.full(first, -1, dtype=np.int64)
+    to_local = np.full(owner.size, -1, dtype=np.int64)
     to_local[partition.nodes] = np.arange(partition.n_local)
 
     groups: list[ElementGroup] = []

@@ -86,7 +86,7 @@ _TRIANGLE = (
 _EDGE = (np.array([[0.5 - 0.5 / np.sqrt(3.0)], [0.5 + 0.5 / np.sqrt(3.0)]]), np.array([0.5, 0.5]))
 
 
-def _facet_shapes(n_corners: int, n_nodes: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def facet_shapes(n_corners: int, n_nodes: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Shape values (n_q, n_nodes), derivatives (n_q, n_nodes, n_corners - 1) and weights (n_q,) of a facet."""
     points, weights = _EDGE if n_corners == 2 else _TRIANGLE
     corner = np.concatenate([1.0 - points.sum(axis=1, keepdims=True), points], axis=1)
@@ -114,7 +114,7 @@ class FollowerPressure:
         self.load = load
         self.cells = load.facets.astype(np.int32)
         self.pressure = 0.0
-        self._shape, self._slope, self._weights = _facet_shapes(load.n_corners, load.facets.shape[1])
+        self._shape, self._slope, self._weights = facet_shapes(load.n_corners, load.facets.shape[1])
         self._reference: FloatArray | None = None
         # Force is a polynomial of degree dim - 1 in the position along a line: the rule is exact.
         self._line = ((0.0, 1.0), (0.5, 0.5)) if load.n_corners == 2 else ((0.0, 0.5, 1.0), (1 / 6, 4 / 6, 1 / 6))

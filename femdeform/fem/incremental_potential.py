@@ -13,6 +13,7 @@ import numpy as np
 
 from femdeform.contact.obstacle_barrier import ObstacleBarrier
 from femdeform.contact.terms import CouplingContact, NodeBlocks, NodeContact
+from femdeform.contact.weak_constraints import WeakConstraints
 from femdeform.fem import kernels
 from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
 from femdeform.fem.conditions import Conditions
@@ -62,6 +63,8 @@ class IncrementalPotential:
         Contact with obstacles.
     couplings : sequence of CouplingContact
         Contact of bodies with one another, serial only.
+    links : WeakConstraints, optional
+        Ties, springs and attachments.
 
     Attributes
     ----------
@@ -71,8 +74,9 @@ class IncrementalPotential:
         Degrees of freedom that are solved for.
     force_scale : float
         R0, the size of the forces in the step [N]: ``|M (x_n - x_hat)/h^2| + |dPE/dx(x_n)| + |f|``, over all degrees
-        of freedom, reactions included. If all of that is rounding (a body at rest whose support is moved), the forces
-        of the first iterate, see `settle_force_scale`.
+        of freedom, reactions included. Forces of stiff links say little of those in the bodies: they do not count. If
+        all of that is rounding (a body at rest whose support is moved), the forces of the first iterate, see
+        `settle_force_scale`.
     """
 
     def __init__(
@@ -82,12 +86,14 @@ class IncrementalPotential:
         quasistatic: bool,
         contacts: Sequence[NodeContact] = (),
         couplings: Sequence[CouplingContact] = (),
+        links: WeakConstraints | None = None,
     ) -> None:
         self.discretization = discretization
         self.conditions = conditions
         self.quasistatic = quasistatic
         self.contacts = list(contacts)
         self.couplings = list(couplings)
+        self.links = links
         self._barriers = [contact for contact in self.contacts if isinstance(contact, ObstacleBarrier)]
         self.has_barriers = bool(self._barriers or self.couplings)
         # Obstacles that nothing penetrates push bodies along: a solver has to move them together.
@@ -98,7 +104,8 @@ class IncrementalPotential:
 
         self.elastic = [ElasticEnergy(group) for group in discretization.groups]
         self.pressures = [FollowerPressure(load) for load in conditions.pressures]
-        self._terms: list[CellTerm] = [*self.elastic, *self.pressures]
+        self._link_terms = [] if links is None else links.terms
+        self._terms: list[CellTerm] = [*self.elastic, *self.pressures, *self._link_terms]
         n = discretization.n_nodes
         cells = [term.cells for term in self._terms]
         self._cell_pattern = BlockPattern(cells, n, self.dim)
@@ -141,12 +148,14 @@ class IncrementalPotential:
         self._x_hat = state.x + dt * state.v
         for contact in (*self.contacts, *self.couplings):
             contact.begin_step(state.x, self.time, dt)
+        if self.links is not None:
+            self.links.begin_step(state.x, self.time)
         # What a pair of nodes was coupled by in earlier steps must not decide how rounding falls in this one.
         self._in_use = np.empty(0, dtype=np.int64)
         self._reference = state.x
         self.linearize_at(state.x)
         inertia = 0.0 if self.quasistatic else self.partition.norm(self.apply_mass(state.x - self._x_hat)) / dt**2
-        internal = self.partition.norm(self.internal_forces(state.x))
+        internal = self.partition.norm(self.internal_forces(state.x, links=False))
         self.force_scale = inertia + internal + self.partition.norm(self.load)
 
     def set_loads(self, time: float) -> None:
@@ -213,7 +222,7 @@ class IncrementalPotential:
         """Phi(x) [J], without the constant that pressure has none of; inf where a law is not defined."""
         # One sum over the ranks a kind: a rank has terms only of the bodies it has cells of.
         kinds: list[Sequence[CellTerm | NodeContact | CouplingContact]]
-        kinds = [self.elastic, self.pressures, self.contacts, self.couplings]
+        kinds = [self.elastic, self.pressures, self.contacts, self.couplings, self._link_terms]
         parts = [self.partition.sum(sum(term.value(x) for term in kind)) for kind in kinds]
         parts.append(-self.partition.dot(self.load, x - self._reference))
         if not self.quasistatic:
@@ -222,10 +231,14 @@ class IncrementalPotential:
         self.value_magnitude = sum(abs(part) for part in parts)
         return sum(parts)
 
-    def internal_forces(self, x: FloatArray, elastic: bool = True) -> FloatArray:
-        """Gradient of the elastic energy and of pressure and contact [N], (n_local, dim), no inertia, no dead load."""
+    def internal_forces(self, x: FloatArray, elastic: bool = True, links: bool = True) -> FloatArray:
+        """Gradient of the elastic energy and of pressure, contact and links [N], no inertia, no dead load.
+
+        `elastic` = False leaves the elastic forces out, `links` = False those of links. (n_local, dim).
+        """
+        first_link = len(self._terms) - len(self._link_terms)
         for k, term in enumerate(self._terms):
-            if elastic or k >= len(self.elastic):
+            if (elastic or k >= len(self.elastic)) and (links or k < first_link):
                 term.gradient(x, self._slots, self._first_row[k])
             else:
                 self._slots[self._first_row[k] : self._first_row[k + 1]] = 0.0
@@ -421,6 +434,10 @@ class IncrementalPotential:
     def kinetic_energy(self, v: FloatArray) -> float:
         """Kinetic energy [J]."""
         return 0.5 * self.partition.dot(v, self.apply_mass(v))
+
+    def link_energy(self, x: FloatArray) -> float:
+        """Energy of ties, springs and attachments, where they are after the last step begun [J]."""
+        return 0.0 if self.links is None else self.partition.sum(self.links.energy(x))
 
     def load_potential(self, x: FloatArray) -> float:
         """Minus the work of gravity and dead loads from the reference positions, at their present size [J]."""

@@ -20,6 +20,7 @@ Columns = dict[str, NDArray[Any]]
 _ENERGIES = (
     ("kinetic_energy", "kinetic", "#4477aa"),
     ("elastic_energy", "elastic", "#ee6677"),
+    ("link_energy", "links", "#aa3377"),
     ("potential_energy", "potential of the loads", "#228833"),
 )
 _MAX_CURVES = 12  # steps in the plot of the iterations: more cannot be told apart

@@ -16,7 +16,7 @@ _LABELS = {
     "time": "simulated time [s]",
 }
 # What has a place of its own on the page, or is for programs.
-_ELSEWHERE = {"title", "status", "reason", "versions", "expect", "obstacles", "method", "linear_solver"}
+_ELSEWHERE = {"title", "status", "reason", "versions", "expect", "obstacles", "link_lines", "method", "linear_solver"}
 _FIRST = ("steps", "time", "wall_seconds", "n_dofs", "n_cells", "ranks", "threads", "bodies")
 _PASSED = ("passed", "ok", "pass")
 

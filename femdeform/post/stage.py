@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from femdeform.post.camera import VIEW_ANGLE, place_camera, vertical_axis
 from femdeform.post.fields import Field, select_field
+from femdeform.post.links import link_segments, places_in_space
 from femdeform.post.obstacles import obstacle_shapes, solid_bounds
 from femdeform.post.skin import DrawnFrames
 from femdeform.post.surface import Part, vertex_normals
@@ -25,6 +26,7 @@ MAX_FACES_WITH_EDGES = 50_000
 _COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#ee9944", "#888888")
 _OUTLINE = "#a8a8a8"
 _OBSTACLE = "#8c9aa8"
+_LINK = "#444444"
 _TEXT = "#202020"
 # Parts of the picture the bodies may fill; the rest is for the legend on the right and for title and time.
 _FILL_WIDTH, _FILL_HEIGHT = 0.74, 0.76
@@ -73,6 +75,7 @@ class Stage:
         self._scale = size[1] / 800.0
         self._meshes: list[tuple[Any, Part, bool]] = []  # mesh, its nodes, whether it carries the colours
         self._obstacles = [o for o in result.facts.get("obstacles") or [] if isinstance(o, dict)]
+        self._lines = link_segments(result.facts.get("link_lines"))
         self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(size), lighting="light kit")
         self.plotter.set_background("white")
         self.plotter.enable_anti_aliasing("msaa", multi_samples=8)
@@ -99,6 +102,7 @@ class Stage:
             if coloured:
                 self._colour(mesh, part, field)
         self._show_obstacles(frame.time)
+        self._show_links(frame)
         if self._bare:
             # New text makes the plotter draw again; moved points alone do not.
             self.plotter.render()
@@ -258,6 +262,17 @@ class Stage:
                 reset_camera=False,
             )
 
+    def _show_links(self, frame: Frame) -> None:
+        segments = [segment(frame.positions, frame.time) for segment in self._lines]
+        for number, ends in enumerate(segments):
+            self.plotter.add_mesh(
+                self.pyvista.Line(*ends),
+                name=f"link {number}",
+                color=_LINK,
+                line_width=2.5 * self._scale,
+                reset_camera=False,
+            )
+
     def _add_legend(self, field: Field) -> None:
         names: Any = self._result.facts.get("bodies" if field.label == "body" else "regions")
         present = np.unique(field.values).astype(int)
@@ -274,7 +289,8 @@ class Stage:
     def _aim(self) -> None:
         box = self._setting.box
         size = float(np.linalg.norm(box[1] - box[0]))
-        shown = np.stack([box, *solid_bounds(self._obstacles, 3.0 * size)])
+        fixed = [np.stack([place, place]) for place in places_in_space(self._result.facts.get("link_lines"))]
+        shown = np.stack([box, *solid_bounds(self._obstacles, 3.0 * size), *fixed])
         box = np.stack([shown[:, 0].min(axis=0), shown[:, 1].max(axis=0)])
         width, height = self.plotter.window_size
         part = (_FILL_BARE, _FILL_BARE) if self._bare else (_FILL_WIDTH, _FILL_HEIGHT)

@@ -106,6 +106,8 @@ def make_quantity(simulation: Simulation, quantity: schema.Quantity) -> Evaluate
         return _moment(simulation, quantity)
     if isinstance(quantity, schema.MomentumQuantity):
         return _momentum(quantity)
+    if isinstance(quantity, (schema.LinkQuantity, schema.LinkForceQuantity)):
+        return _link(simulation, quantity)
     return scalar_quantity(quantity.kind, quantity.body if isinstance(quantity, schema.CellQuantity) else None)
 
 
@@ -218,6 +220,27 @@ def _momentum(quantity: schema.MomentumQuantity) -> Evaluate:
     return evaluate
 
 
+# ----------------------------------------------------------------------------------------------- links
+
+
+def _link(simulation: Simulation, quantity: schema.LinkQuantity | schema.LinkForceQuantity) -> Evaluate:
+    names = list(simulation.scene.links)
+    number = None if quantity.link is None else names.index(quantity.link)
+
+    def evaluate(snapshot: Snapshot) -> float:
+        links, x = simulation.problem.links, snapshot.state.x
+        assert links is not None
+        partition = simulation.discretization.partition
+        if isinstance(quantity, schema.LinkForceQuantity):
+            assert number is not None
+            return _component(_sum_over_ranks(simulation, links.force(x, number)), quantity.component)
+        if quantity.kind == "link_gap":
+            return partition.max(links.gap(x, number))
+        return partition.sum(links.energy(x, number))
+
+    return evaluate
+
+
 # --------------------------------------------------------------------------------------------- scalars
 
 
@@ -271,7 +294,8 @@ def _load_potential(snapshot: Snapshot) -> float:
 
 
 def _total_energy(snapshot: Snapshot) -> float:
-    return _kinetic_energy(snapshot) + _elastic_energy(snapshot, None) + _load_potential(snapshot)
+    inside = _elastic_energy(snapshot, None) + snapshot.simulation.problem.link_energy(snapshot.state.x)
+    return _kinetic_energy(snapshot) + inside + _load_potential(snapshot)
 
 
 def _max_displacement(snapshot: Snapshot) -> float:

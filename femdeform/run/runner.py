@@ -20,6 +20,7 @@ from femdeform.run.expectations import check_expectations, describe_verdict
 from femdeform.run.failure import end_all_ranks, reason_of
 from femdeform.run.inputs import RunInput, read_together
 from femdeform.run.interrupts import INTERRUPTED, Interrupts, last_words
+from femdeform.run.links import link_lines
 from femdeform.run.output import FrameSource
 from femdeform.run.progress import Progress
 from femdeform.run.quantities import Meter, Snapshot, standard_quantities
@@ -249,6 +250,8 @@ class _Run:
             "failed_attempts": self.n_failures,
             "stopped_by": result.reason,
         }
+        if problem.links is not None:
+            row["link_energy"] = problem.link_energy(state.x)
         self.measured = {f"measure.{name}": value for name, value in self.meter.evaluate(state).items()}
         if "reaction" in self.scene.output.fields:
             self.reactions = Snapshot(self.simulation, state).reactions
@@ -443,4 +446,5 @@ class _Run:
             "scene_file": self.loaded.path.name,
             "bodies": list(self.scene.bodies),
             "obstacles": [obstacle.model_dump(mode="json") for obstacle in self.scene.obstacles],
+            "link_lines": link_lines(self.scene, self.simulation.meshes),
         }

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from femdeform import registry
+from femdeform.contact.weak_constraints import WeakConstraints
 from femdeform.errors import InputError, MissingDependencyError
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import BodyInput, Discretization, discretize
 from femdeform.fem.incremental_potential import IncrementalPotential, State
 from femdeform.materials import law_for, supports_codimension
 from femdeform.run.contacts import make_contacts
+from femdeform.run.links import make_links
 from femdeform.scene import schema
 from femdeform.step_problem import StepSolver
 from femdeform.types import IntArray, Mesh
@@ -139,12 +141,17 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
     cell_rank = None
     if comm is not None:
         cell_rank = registry.resolve(registry.PARTITIONER)(meshes, comm)
-    discretization = discretize(bodies, cell_rank, comm)
+    rows = make_links(scene, meshes, notices)
+    discretization = discretize(bodies, cell_rank, comm, None if rows is None else rows.coupled())
     conditions = Conditions(scene, meshes, discretization)
     notices += conditions.notices
     contacts, couplings = make_contacts(scene, meshes, discretization, notices)
+    links = None
+    if rows is not None:
+        links = WeakConstraints(rows.local(discretization.local_numbers, discretization.partition.n_owned))
+        links.begin_step(discretization.points, 0.0)
     quasistatic = scene.time.scheme == "quasistatic"
-    problem = IncrementalPotential(discretization, conditions, quasistatic, contacts, couplings=couplings)
+    problem = IncrementalPotential(discretization, conditions, quasistatic, contacts, couplings=couplings, links=links)
     linear_solver = make_linear_solver(scene.linear_solver, ranks, notices)
     solver = registry.resolve(registry.SOLVERS[scene.solver.method])(scene.solver, linear_solver)
     velocity = np.zeros_like(discretization.points) if quasistatic else conditions.initial_velocity.copy()

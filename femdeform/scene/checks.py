@@ -13,6 +13,7 @@ from femdeform.scene import schema
 from femdeform.scene.contact_checks import contact_findings
 from femdeform.scene.contact_schema import IPCMethod
 from femdeform.scene.key_path import KeyPath
+from femdeform.scene.link_checks import link_findings
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
 from femdeform.scene.mixed_schema import MixedFEMSolver
@@ -51,6 +52,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *_selection_findings(loaded.scene, meshes, frozenset(coarse)),
         *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
         *contact_findings(loaded.scene, meshes, frozenset(coarse)),
+        *link_findings(loaded.scene, meshes, frozenset(coarse)),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
     ]
@@ -165,6 +167,8 @@ def _vectors(scene: schema.DeformableScene) -> Iterator[tuple[KeyPath, tuple[flo
         yield from vectors_inside(condition, ("conditions", index), leave_out=("axis", "angular_velocity"))
     for index, obstacle in enumerate(scene.obstacles):
         yield from vectors_inside(obstacle, ("obstacles", index))
+    for name, link in scene.links.items():
+        yield from vectors_inside(link, ("links", name))
 
 
 # ------------------------------------------------------------------------------------------------ selections

@@ -60,6 +60,11 @@ def _put_aside(data: Any, path: KeyPath) -> bool:
         if not isinstance(number, int):
             return False
         data["conditions"][number] = {"kind": "fixed", "on": next(iter(bodies))}
+    elif path[0] == "links" and len(path) > 1 and isinstance(bodies, dict) and bodies:
+        if not isinstance(path[1], str):
+            return False
+        # Quantities may name it.
+        data["links"][path[1]] = {"kind": "attachment", "on": next(iter(bodies)), "stiffness": 1.0}
     else:
         data.pop(path[0], None)
     return True

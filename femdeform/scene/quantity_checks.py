@@ -7,7 +7,13 @@ from typing import Any
 
 from femdeform.scene import schema
 from femdeform.scene.key_path import KeyPath
-from femdeform.scene.quantity_schema import CellQuantity, MomentQuantity, MomentumQuantity
+from femdeform.scene.quantity_schema import (
+    CellQuantity,
+    LinkForceQuantity,
+    LinkQuantity,
+    MomentQuantity,
+    MomentumQuantity,
+)
 from femdeform.scene.selection_checks import COMPONENTS, judge_point, judge_selection, vectors_inside
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
@@ -40,12 +46,21 @@ def quantity_findings(
         if isinstance(block, CellQuantity) and block.body is not None and block.body not in scene.bodies:
             hint = did_you_mean(block.body, scene.bodies)
             yield Finding((*path, "body"), f"there is no body `{block.body}`; {hint}")
+        if isinstance(block, (LinkQuantity, LinkForceQuantity)):
+            yield from _link_findings(block.link, path, scene)
     for name in scene.expect.measured:
         if name not in scene.measure:
             yield Finding(("expect", "measured", name), _unknown(name, scene))
     for index, expected in enumerate(scene.expect.time_to_reach):
         if expected.quantity not in scene.measure:
             yield Finding(("expect", "time_to_reach", index, "quantity"), _unknown(expected.quantity, scene))
+
+
+def _link_findings(name: str | None, path: KeyPath, scene: schema.DeformableScene) -> Iterator[Finding]:
+    if not scene.links:
+        yield Finding((*path, "kind"), "the scene has no `links`")
+    elif name is not None and name not in scene.links:
+        yield Finding((*path, "link"), f"there is no link `{name}`; {did_you_mean(name, scene.links)}")
 
 
 def _placed_blocks(scene: schema.DeformableScene) -> Iterator[tuple[KeyPath, Any]]:

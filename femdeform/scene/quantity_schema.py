@@ -63,7 +63,7 @@ class CellQuantity(SceneModel):
 class SystemQuantity(SceneModel):
     kind: Literal["kinetic_energy", "load_potential", "total_energy", "max_displacement"] = Field(
         description="kinetic energy [J], potential of gravity and dead loads [J], their sum with the elastic energy "
-        "[J], largest nodal displacement [m]"
+        "and that of links [J], largest nodal displacement [m]"
     )
 
 
@@ -74,8 +74,31 @@ class MomentumQuantity(SceneModel):
     component: Component = Field(description="component or norm; in 2D angular momentum has z only")
 
 
+class LinkQuantity(SceneModel):
+    kind: Literal["link_gap", "link_energy"] = Field(
+        description="largest distance of the points of a link from where it has no force, a spring's elongation [m]; "
+        "energy of the link [J]"
+    )
+    link: Name | None = Field(default=None, description="one of `links`; default: all of them")
+
+
+class LinkForceQuantity(SceneModel):
+    kind: Literal["link_force"] = Field(
+        description="force of a link on its first points (`on`, or the first of `ends`), summed [N]"
+    )
+    link: Name = Field(description="one of `links`")
+    component: Component = Field(description="component, or the norm of the sum")
+
+
 Quantity = Annotated[
-    MotionQuantity | ReactionQuantity | MomentQuantity | CellQuantity | SystemQuantity | MomentumQuantity,
+    MotionQuantity
+    | ReactionQuantity
+    | MomentQuantity
+    | CellQuantity
+    | SystemQuantity
+    | MomentumQuantity
+    | LinkQuantity
+    | LinkForceQuantity,
     Field(discriminator="kind"),
 ]
 
@@ -135,7 +158,7 @@ class Expect(SceneModel):
     elastic_energy: ExpectedValue | None = Field(default=None, description="elastic energy [J]")
     kinetic_energy: ExpectedValue | None = Field(default=None, description="kinetic energy [J]")
     total_energy: ExpectedValue | None = Field(
-        default=None, description="kinetic and elastic energy and potential of gravity and dead loads [J]"
+        default=None, description="kinetic and elastic energy, that of links, potential of gravity and dead loads [J]"
     )
     max_displacement: ExpectedValue | None = Field(default=None, description="largest nodal displacement [m]")
     min_jacobian: ExpectedValue | None = Field(default=None, description="smallest det F [-]")

@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from femdeform.scene.contact_schema import Contact, PenaltyMethod
+from femdeform.scene.link_schema import Link
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.quantity_schema import Expect, Quantity
@@ -433,6 +434,9 @@ class DeformableScene(SceneModel):
     )
     obstacles: list[Obstacle] = Field(default_factory=list, description="rigid obstacles")
     contact: Contact = Field(default=PenaltyMethod(), description="how contact is treated")
+    links: dict[Name, Link] = Field(
+        default_factory=dict, description="springs, ties and attachments by name: energies that hold points together"
+    )
     gravity: Vector | None = Field(default=None, description="acceleration of gravity [m/s^2]")
     gravity_amplitude: Amplitude | None = Field(
         default=None,

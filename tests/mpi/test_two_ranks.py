@@ -97,7 +97,51 @@ def plane_scene() -> dict[str, Any]:
     )
 
 
-SCENES = {"contact": contact_scene, "loads": loaded_scene, "thin": thin_scene, "plane": plane_scene}
+def linked_scene() -> dict[str, Any]:
+    """Links of every kind between bodies that the ranks share out: P1 and P2, normals that turn, a moving anchor."""
+    ends = [{"at": [0.1, 0.25, 0.1], "body": "a"}, {"at": [0.9, 0.4, 0.2], "body": "b"}]
+    return scene(
+        {
+            "a": body(block([0.5, 0.3, 0.3], [4, 2, 2]), material(E=5e4)),
+            "b": body(block([0.5, 0.3, 0.3], [3, 3, 2], translate=[0.52, 0.2, 0]), material(E=2e4), element_order=2),
+            "c": body(block([0.5, 0.2, 0.3], [5, 2, 3], translate=[0, -0.2, 0]), material(E=5e4)),
+        },
+        {"kind": "fixed", "on": "a.left"},
+        {"kind": "initial_velocity", "on": "b", "velocity": [0.0, 1.0, 0.5]},
+        links={
+            "tie": {"kind": "tie", "on": "c.top", "to": "a.bottom", "stiffness": 1e7, "per": "area"},
+            "slide": {
+                "kind": "binding",
+                "on": "b.left",
+                "to": "a.right",
+                "stiffness": 1e6,
+                "tangential_stiffness": 1e4,
+                "within": 0.05,
+            },
+            "spring": {"kind": "spring", "ends": ends, "stiffness": 500.0},
+            "pair": {"kind": "pair", "ends": ends, "stiffness": 100.0},
+            "crane": {"kind": "attachment", "on": "b.right", "stiffness": 50.0, "velocity": [0.5, 0.0, 0.0]},
+        },
+        gravity=[0.0, -9.81, 0.0],
+        time={"scheme": "backward_euler", "dt": 0.02, "end": 0.1},
+        solver=TIGHT,
+        linear_solver=PETSC,
+        measure={
+            "gap": {"kind": "link_gap"},
+            "force": {"kind": "link_force", "link": "tie", "component": "y"},
+            "energy": {"kind": "link_energy", "link": "slide"},
+        },
+        expect={"measured": {name: {"value": 0.0, "atol": 1e9} for name in ("gap", "force", "energy")}},
+    )
+
+
+SCENES = {
+    "contact": contact_scene,
+    "loads": loaded_scene,
+    "thin": thin_scene,
+    "plane": plane_scene,
+    "links": linked_scene,
+}
 
 
 @pytest.mark.parametrize("name", SCENES)
