@@ -219,6 +219,15 @@ class IPCContact:
                 return True
         return False
 
+    def arrive_at(self, x: FloatArray) -> None:
+        """Take a position for one that can be, whatever way led there, unless surfaces intersect at it.
+
+        For judging positions that another problem's solver has reached on a way of its own, which may have bent.
+        """
+        vertices = self._vertices(x)
+        if np.isfinite(vertices).all() and not self._ipctk.has_intersections(self.mesh, vertices):
+            self._from, self._move = vertices, np.zeros_like(vertices)
+
     def max_step(self, x: FloatArray, step: FloatArray) -> float:
         """Largest part in [0, 1] of a step that is free of collisions; the way is remembered as checked."""
         start, move = self._vertices(x), self._vertices(step)

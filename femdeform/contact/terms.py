@@ -57,5 +57,8 @@ class CouplingContact(ContactTerm, Protocol):
     def hessian_blocks(self, x: FloatArray, project: bool) -> NodeBlocks:
         """Hessian [N/m], each contact's part positive semi-definite if `project`."""
 
+    def arrive_at(self, x: FloatArray) -> None:
+        """Take a position for one that can be, whatever way led there, unless it cannot be in itself."""
+
     def max_step(self, x: FloatArray, step: FloatArray) -> float:
         """Largest part in [0, 1] of a step that is free of collisions."""

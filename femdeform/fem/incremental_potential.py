@@ -189,6 +189,14 @@ class IncrementalPotential:
         for barrier in self._barriers:
             barrier.place(progress)
 
+    def arrive_at(self, x: FloatArray) -> None:
+        """Let contact between bodies judge `x` by itself, not by whether the straight way there is free.
+
+        For positions that another problem's solver has reached: its way may have bent.
+        """
+        for term in self.couplings:
+            term.arrive_at(x)
+
     def linearize_at(self, x: FloatArray) -> None:
         """Tell terms without a potential that a line search will start from `x`."""
         for pressure in self.pressures:
