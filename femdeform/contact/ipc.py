@@ -242,12 +242,17 @@ class IPCContact:
 
     # ------------------------------------------------------------------------------------------- the function
 
+    def stored_energy(self, x: FloatArray) -> float:
+        """Energy of the barrier at a position that can be [J]; the way there is not asked for."""
+        vertices = self._vertices(x)
+        return float(self._potential(self._build(vertices), self.mesh, vertices))
+
     def value(self, x: FloatArray) -> float:
         """Energy of the barrier and work of friction [J]; infinite where the way is not free."""
         vertices = self._vertices(x)
         if not self._can_be(vertices):
             return float("inf")
-        energy = float(self._potential(self._build(vertices), self.mesh, vertices))
+        energy = self.stored_energy(x)
         if self._rubbing is not None:
             energy += float(self._friction_law(self._rubbing, self.mesh, self._slip(vertices)))
         return energy

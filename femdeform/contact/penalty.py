@@ -78,10 +78,14 @@ class PenaltyContact:
         slip = moved - np.einsum("ic,ic->i", moved, self._normal)[:, None] * self._normal
         return slip, np.linalg.norm(slip, axis=1)
 
+    def stored_energy(self, x: FloatArray) -> float:
+        """Energy of penetration of this rank's nodes [J]."""
+        distance, _ = self.shape.distance(x[self.nodes] - self._shift)
+        return 0.5 * float(np.dot(self.stiffness, np.minimum(distance, 0.0) ** 2))
+
     def value(self, x: FloatArray) -> float:
         """Energy of penetration and friction of this rank's nodes [J]."""
-        distance, _ = self.shape.distance(x[self.nodes] - self._shift)
-        energy = 0.5 * float(np.dot(self.stiffness, np.minimum(distance, 0.0) ** 2))
+        energy = self.stored_energy(x)
         if self.friction > 0.0:
             _, length = self._slip(x)
             h = self._slip_scale

@@ -17,6 +17,9 @@ class ContactTerm(Protocol):
     def value(self, x: FloatArray) -> float:
         """Energy over this rank's nodes [J]; infinite where contact cannot be."""
 
+    def stored_energy(self, x: FloatArray) -> float:
+        """What of the energy over this rank's nodes comes back as the bodies part: all but the work of friction [J]."""
+
     def add_gradient(self, x: FloatArray, out: FloatArray) -> None:
         """Add the energy gradient [N] to `out` (n_local, dim); infinite where contact cannot be."""
 

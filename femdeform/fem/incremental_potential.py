@@ -430,6 +430,11 @@ class IncrementalPotential:
         """Kinetic energy [J]."""
         return 0.5 * self.partition.dot(v, self.apply_mass(v))
 
+    def contact_energy(self, x: FloatArray) -> float:
+        """Energy of penetration and of barriers, obstacles being where the step ends [J]; no work of friction."""
+        terms = (*self.contacts, *self.couplings)
+        return self.partition.sum(sum(term.stored_energy(x) for term in terms)) if terms else 0.0
+
     def load_potential(self, x: FloatArray) -> float:
         """Minus the work of gravity and dead loads from the reference positions, at their present size [J]."""
         return -self.partition.dot(self.load, x - self.discretization.points)

@@ -21,6 +21,7 @@ _ENERGIES = (
     ("kinetic_energy", "kinetic", "#4477aa"),
     ("elastic_energy", "elastic", "#ee6677"),
     ("potential_energy", "potential of the loads", "#228833"),
+    ("contact_energy", "contact", "#ccbb44"),
 )
 _MAX_CURVES = 12  # steps in the plot of the iterations: more cannot be told apart
 _MARKED = 60  # points up to which each is marked

@@ -22,6 +22,7 @@ _SCALARS = (
     "kinetic_energy",
     "elastic_energy",
     "load_potential",
+    "contact_energy",
     "total_energy",
     "volume_ratio",
     "min_jacobian",

@@ -270,8 +270,13 @@ def _load_potential(snapshot: Snapshot) -> float:
     return snapshot.simulation.problem.load_potential(snapshot.state.x)
 
 
+def _contact_energy(snapshot: Snapshot) -> float:
+    return snapshot.simulation.problem.contact_energy(snapshot.state.x)
+
+
 def _total_energy(snapshot: Snapshot) -> float:
-    return _kinetic_energy(snapshot) + _elastic_energy(snapshot, None) + _load_potential(snapshot)
+    inside = _kinetic_energy(snapshot) + _elastic_energy(snapshot, None)
+    return inside + _load_potential(snapshot) + _contact_energy(snapshot)
 
 
 def _max_displacement(snapshot: Snapshot) -> float:
@@ -288,6 +293,7 @@ _OF_CELLS: dict[str, Callable[[Snapshot, str | None], float]] = {
 _OF_THE_SYSTEM: dict[str, Evaluate] = {
     "kinetic_energy": _kinetic_energy,
     "load_potential": _load_potential,
+    "contact_energy": _contact_energy,
     "total_energy": _total_energy,
     "max_displacement": _max_displacement,
 }

@@ -244,6 +244,7 @@ class _Run:
             "kinetic_energy": problem.kinetic_energy(state.v),
             "elastic_energy": problem.elastic_energy(state.x),
             "potential_energy": problem.load_potential(state.x),
+            "contact_energy": problem.contact_energy(state.x),
             "seconds": now - self.step_begin,
             "force_scale": problem.force_scale,
             "failed_attempts": self.n_failures,

@@ -30,7 +30,7 @@ class StepControl:
     halve : bool
         Halve the step on failure; otherwise stop.
     current : float
-        Step in use [s]: `dt`, or less after a failure. It doubles after every few accepted steps until it is `dt` again.
+        Step in use [s]: `dt`, or less after a failure. It doubles every few accepted steps until it is `dt` again.
     streak : int
         Accepted steps of the size in use, while that is less than `dt`.
     """
@@ -153,5 +153,3 @@ def _failure_text(state: State, dt: float, result: StepResult, control: StepCont
 def default_min_dt(dt: float, min_dt: float | None) -> float:
     """Smallest step of a scene that gives none: six halvings."""
     return dt / 64.0 if min_dt is None else min_dt
-
-
