@@ -118,8 +118,8 @@ class IPCContact:
 
     Limitations
     -----------
-    Serial. One thickness d_min for all pairs. Quadratic surfaces are taken as flat between their nodes. A body that
-    lies inside another one without touching its surface is not noticed. Friction lags by a step.
+    Serial. One thickness d_min for all pairs. Quadratic surfaces are taken as flat between their nodes. Friction lags
+    by a step.
     """
 
     def __init__(
