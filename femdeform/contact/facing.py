@@ -51,13 +51,13 @@ class FacetShares:
         dim = x.shape[1]
         if dim == 3 and self.n_corners == 2:
             cosine = np.einsum("fc,fkc->fk", _unit(along), toward)
-            return np.maximum(np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), _LEAST)
+            return np.asarray(np.maximum(np.sqrt(np.maximum(1.0 - cosine**2, 0.0)), _LEAST))
         if dim == 2:
             normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
         else:
             normal = np.cross(along, corners[:, 2] - corners[:, 0])
         cosine = -np.einsum("fc,fkc->fk", _unit(normal), toward)
-        return np.maximum(cosine if self.is_closed else np.abs(cosine), _LEAST)
+        return np.asarray(np.maximum(cosine if self.is_closed else np.abs(cosine), _LEAST))
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
