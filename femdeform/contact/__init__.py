@@ -1,1 +1,1 @@
-"""Contact with rigid obstacles."""
+"""Contact with rigid obstacles, of bodies with one another and with themselves."""

@@ -118,8 +118,8 @@ class IPCContact:
 
     Limitations
     -----------
-    Serial. One thickness d_min for all pairs. Quadratic surfaces are taken as flat between their nodes. A body that
-    lies inside another one without touching its surface is not noticed. Friction lags by a step.
+    Serial. One thickness d_min for all pairs. Quadratic surfaces are taken as flat between their nodes. Friction lags
+    by a step.
     """
 
     def __init__(
@@ -219,6 +219,15 @@ class IPCContact:
                 return True
         return False
 
+    def arrive_at(self, x: FloatArray) -> None:
+        """Take a position for one that can be, whatever way led there, unless surfaces intersect at it.
+
+        For judging positions that another problem's solver has reached on a way of its own, which may have bent.
+        """
+        vertices = self._vertices(x)
+        if np.isfinite(vertices).all() and not self._ipctk.has_intersections(self.mesh, vertices):
+            self._from, self._move = vertices, np.zeros_like(vertices)
+
     def max_step(self, x: FloatArray, step: FloatArray) -> float:
         """Largest part in [0, 1] of a step that is free of collisions; the way is remembered as checked."""
         start, move = self._vertices(x), self._vertices(step)
@@ -233,12 +242,17 @@ class IPCContact:
 
     # ------------------------------------------------------------------------------------------- the function
 
+    def stored_energy(self, x: FloatArray) -> float:
+        """Energy of the barrier at a position that can be [J]; the way there is not asked for."""
+        vertices = self._vertices(x)
+        return float(self._potential(self._build(vertices), self.mesh, vertices))
+
     def value(self, x: FloatArray) -> float:
         """Energy of the barrier and work of friction [J]; infinite where the way is not free."""
         vertices = self._vertices(x)
         if not self._can_be(vertices):
             return float("inf")
-        energy = float(self._potential(self._build(vertices), self.mesh, vertices))
+        energy = self.stored_energy(x)
         if self._rubbing is not None:
             energy += float(self._friction_law(self._rubbing, self.mesh, self._slip(vertices)))
         return energy

@@ -23,6 +23,8 @@ from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
 _REACH = 0.1
 # Thickest surface that is taken as it is, in shortest edges: vertices two edges apart must not count as touching.
 _THICKEST = 0.3
+# Initial gap, in d_hat, below which the barrier presses so hard that bodies are thrown apart: weights rest above it.
+_PRESSED = 0.8
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def initial_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) 
         points.append(mesh.points)
         first += mesh.n_points
     surface = collision_surface(parts, np.concatenate(points))
-    findings = [*_obstacle_findings(scene, surface)]
+    findings = [*_obstacle_findings(scene, surface, numbers.reach)]
     if numbers.may_touch.any():
         found = _body_findings(surface, numbers)
         findings += found
@@ -137,7 +139,17 @@ def _at(point: FloatArray) -> str:
     return "(" + ", ".join(f"{c:.4g}" for c in point) + ")"
 
 
-def _obstacle_findings(scene: schema.DeformableScene, surface: CollisionSurface) -> Iterator[InitialFinding]:
+def _thrown(gap: float, reach: float) -> str:
+    """What happens to a body that starts inside the barrier of another thing."""
+    return (
+        f"with a gap of {gap:.3g} m, while the barrier acts from {reach:.3g} m on and throws it off; a gap of that "
+        "size, or a smaller `distance`, avoids that"
+    )
+
+
+def _obstacle_findings(
+    scene: schema.DeformableScene, surface: CollisionSurface, reach: float
+) -> Iterator[InitialFinding]:
     for index, obstacle in enumerate(scene.obstacles):
         if len(next(v for k, v in obstacle if k in ("point", "center", "min"))) != surface.dim:
             continue  # a fault of its own
@@ -149,6 +161,10 @@ def _obstacle_findings(scene: schema.DeformableScene, surface: CollisionSurface)
             how = "touches it" if gap[worst] == 0.0 else f"reaches {-gap[worst]:.3g} m into it"
             message = f"`{body}` {how} at {_at(surface.rest[worst])}; with method ipc a body has to start with a gap"
             yield InitialFinding(("obstacles", index), message)
+        elif gap[worst] < _PRESSED * reach:
+            body = surface.bodies[surface.body[worst]]
+            message = f"`{body}` starts at `obstacles[{index}]` near {_at(surface.rest[worst])} "
+            yield InitialFinding(("obstacles", index), message + _thrown(float(gap[worst]), reach), True)
 
 
 def _body_findings(surface: CollisionSurface, numbers: ContactNumbers) -> list[InitialFinding]:
@@ -176,6 +192,10 @@ def _body_findings(surface: CollisionSurface, numbers: ContactNumbers) -> list[I
             f"{where} are {gap:.3g} m apart, the barrier reaches {numbers.reach + numbers.offset:.3g} m; a smaller "
             "`distance` avoids that"
         )
+        return [InitialFinding(("contact", "distance"), message, True)]
+    if gap - numbers.offset < _PRESSED * numbers.reach:
+        second, first = (surface.bodies[i] for i in sorted(surface.body[[ids[0], ids[-1]]]))
+        message = f"`{first}` starts at `{second}` near {where} {_thrown(gap - numbers.offset, numbers.reach)}"
         return [InitialFinding(("contact", "distance"), message, True)]
     return []
 

@@ -113,10 +113,14 @@ class ObstacleBarrier:
         slip = moved - np.einsum("ic,ic->i", moved, self._normal)[:, None] * self._normal
         return slip, np.linalg.norm(slip, axis=1)
 
+    def stored_energy(self, x: FloatArray) -> float:
+        """Energy of the barrier [J]; infinite if a node is inside."""
+        near, gap, _ = self._near(x)
+        return float(np.dot(self.weight[near], barrier(gap, self.reach, self.offset[near])[0]))
+
     def value(self, x: FloatArray) -> float:
         """Energy of the barrier and work of friction [J]; infinite if a node is inside."""
-        near, gap, _ = self._near(x)
-        energy = float(np.dot(self.weight[near], barrier(gap, self.reach, self.offset[near])[0]))
+        energy = self.stored_energy(x)
         if self._rubbing.size:
             energy += float(np.dot(self._limit, friction_work(self._slip(x)[1], self._slip_scale)))
         return energy

@@ -1,17 +1,23 @@
 """Penalty contact of nodes with a rigid obstacle, with Coulomb friction.
 
 Normal force: energy ``sum_i k A_i / 2 min(d_i, 0)^2`` with the signed distance d and the area A_i of the surface
-around node i. Friction: a potential ``mu N_i f(|u_i|)`` of the tangential slip u over the step, where the normal force
-N is that of the last accepted state and f is quadratic up to the slip ``eps_v dt`` and linear beyond. Below that slip
-friction behaves like a stiff spring, so a body at rest on a slope creeps with at most `eps_v`.
+around node i that faces the obstacle at the last accepted state. Friction: a potential ``mu N_i f(|u_i|)`` of the
+tangential slip u over the step, where the normal force N is that of the last accepted state and f is quadratic up to
+the slip ``eps_v dt`` and linear beyond. Below that slip friction behaves like a stiff spring, so a body at rest on a
+slope creeps with at most `eps_v`.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from femdeform.contact.obstacles import Shape
 from femdeform.types import FloatArray, IntArray
+
+# Stiffness of the nodes that may touch (n,) [N/m], from positions and unit normals of the obstacle of all local nodes.
+NodeStiffness = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 class PenaltyContact:
@@ -23,8 +29,8 @@ class PenaltyContact:
         Obstacle at time zero.
     nodes : (n,) int64
         Owned local nodes on the surface of the bodies.
-    stiffness : (n,) float64
-        Penalty stiffness of each node, per area times the node's area [N/m].
+    weigh : callable
+        Gives the penalty stiffness of each node, per area times the area there that faces the obstacle [N/m].
     friction : float
         Coulomb's coefficient [-].
     velocity : (dim,) float64
@@ -38,7 +44,8 @@ class PenaltyContact:
 
     Limitations
     -----------
-    Penetration is proportional to the force; stiffness decides how deep. Friction uses the normal force of the step
+    Penetration is proportional to the force; stiffness decides how deep. The area that faces the obstacle lags by a
+    step: a body that turns while it touches gains or loses a little energy. Friction uses the normal force of the step
     before, so a body's first step of contact is frictionless.
     """
 
@@ -46,14 +53,15 @@ class PenaltyContact:
         self,
         shape: Shape,
         nodes: IntArray,
-        stiffness: FloatArray,
+        weigh: NodeStiffness,
         friction: float,
         velocity: FloatArray,
         stick_velocity: float,
     ) -> None:
         self.shape = shape
         self.nodes = nodes
-        self.stiffness = stiffness
+        self.weigh = weigh
+        self.stiffness = np.zeros(nodes.size)
         self.friction = friction
         self.velocity = velocity
         self.stick_velocity = stick_velocity
@@ -64,11 +72,12 @@ class PenaltyContact:
         self._lagged_force = np.zeros(nodes.size)
 
     def begin_step(self, x: FloatArray, time: float, dt: float) -> None:
-        """Freeze normal forces and directions of friction at the accepted state `x` before a step to `time`."""
-        before = x[self.nodes] - self.velocity * (time - dt)
-        distance, normal = self.shape.distance(before)
+        """Freeze stiffnesses, normal forces and directions of friction at the accepted state `x`."""
+        every, normals = self.shape.distance(x - self.velocity * (time - dt))
+        self.stiffness = self.weigh(x, normals)
+        distance = every[self.nodes]
         self._start = x[self.nodes] + self.velocity * dt
-        self._normal = np.array(normal)
+        self._normal = np.array(normals[self.nodes])
         self._lagged_force = self.friction * self.stiffness * np.maximum(-distance, 0.0)
         self._shift = self.velocity * time
         self._slip_scale = max(self.stick_velocity * dt, 1e-300)
@@ -78,10 +87,14 @@ class PenaltyContact:
         slip = moved - np.einsum("ic,ic->i", moved, self._normal)[:, None] * self._normal
         return slip, np.linalg.norm(slip, axis=1)
 
+    def stored_energy(self, x: FloatArray) -> float:
+        """Energy of penetration of this rank's nodes [J]."""
+        distance, _ = self.shape.distance(x[self.nodes] - self._shift)
+        return 0.5 * float(np.dot(self.stiffness, np.minimum(distance, 0.0) ** 2))
+
     def value(self, x: FloatArray) -> float:
         """Energy of penetration and friction of this rank's nodes [J]."""
-        distance, _ = self.shape.distance(x[self.nodes] - self._shift)
-        energy = 0.5 * float(np.dot(self.stiffness, np.minimum(distance, 0.0) ** 2))
+        energy = self.stored_energy(x)
         if self.friction > 0.0:
             _, length = self._slip(x)
             h = self._slip_scale

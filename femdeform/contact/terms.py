@@ -17,6 +17,9 @@ class ContactTerm(Protocol):
     def value(self, x: FloatArray) -> float:
         """Energy over this rank's nodes [J]; infinite where contact cannot be."""
 
+    def stored_energy(self, x: FloatArray) -> float:
+        """What of the energy over this rank's nodes comes back as the bodies part: all but the work of friction [J]."""
+
     def add_gradient(self, x: FloatArray, out: FloatArray) -> None:
         """Add the energy gradient [N] to `out` (n_local, dim); infinite where contact cannot be."""
 
@@ -56,6 +59,9 @@ class CouplingContact(ContactTerm, Protocol):
 
     def hessian_blocks(self, x: FloatArray, project: bool) -> NodeBlocks:
         """Hessian [N/m], each contact's part positive semi-definite if `project`."""
+
+    def arrive_at(self, x: FloatArray) -> None:
+        """Take a position for one that can be, whatever way led there, unless it cannot be in itself."""
 
     def max_step(self, x: FloatArray, step: FloatArray) -> float:
         """Largest part in [0, 1] of a step that is free of collisions."""

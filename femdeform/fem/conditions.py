@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from femdeform.fem.discretization import Discretization
-from femdeform.fem.node_sets import NodeSets, facet_loads, facet_measure
+from femdeform.fem.node_sets import NodeSets, facet_loads, facet_measure, holds_facets
 from femdeform.scene import schema
 from femdeform.scene.selection_schema import Selection
 from femdeform.scene.selections import select_facets, select_nodes
@@ -247,19 +247,8 @@ class Conditions:
         for body, facets in select_facets(condition.on, self._meshes).items():
             nodes = self._sets.facet_nodes(body, facets)
             local = self._discretization.local_numbers[nodes]
-            owned = self._holds(body, facets)
+            owned = holds_facets(self._discretization, body, self._meshes[body], facets)
             self.pressures.append(FacetPressure(local[owned], facets.shape[1], condition.value, curve))
-
-    def _holds(self, body: str, facets: IntArray) -> BoolArray:
-        """Which boundary facets belong to a cell of this rank: each to exactly one rank, as it has one cell."""
-        mesh = self._meshes[body]
-        groups = [g.cell_ids for g in self._discretization.groups if g.body == body]
-        if not groups:
-            return np.zeros(len(facets), dtype=bool)
-        cells = mesh.cells[np.concatenate(groups)]
-        sides = np.concatenate([np.delete(cells, k, axis=1) for k in range(cells.shape[1])])
-        scale = mesh.n_points ** np.arange(facets.shape[1])
-        return np.isin(np.sort(facets, axis=1) @ scale, np.sort(sides, axis=1) @ scale)
 
     def _add_point_load(self, condition: schema.PointLoad) -> None:
         nodes = self.nodes(condition.on)

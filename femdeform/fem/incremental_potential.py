@@ -198,6 +198,14 @@ class IncrementalPotential:
         for barrier in self._barriers:
             barrier.place(progress)
 
+    def arrive_at(self, x: FloatArray) -> None:
+        """Let contact between bodies judge `x` by itself, not by whether the straight way there is free.
+
+        For positions that another problem's solver has reached: its way may have bent.
+        """
+        for term in self.couplings:
+            term.arrive_at(x)
+
     def linearize_at(self, x: FloatArray) -> None:
         """Tell terms without a potential that a line search will start from `x`."""
         for pressure in self.pressures:
@@ -438,6 +446,11 @@ class IncrementalPotential:
     def link_energy(self, x: FloatArray) -> float:
         """Energy of ties, springs and attachments, where they are after the last step begun [J]."""
         return 0.0 if self.links is None else self.partition.sum(self.links.energy(x))
+
+    def contact_energy(self, x: FloatArray) -> float:
+        """Energy of penetration and of barriers, obstacles being where the step ends [J]; no work of friction."""
+        terms = (*self.contacts, *self.couplings)
+        return self.partition.sum(sum(term.stored_energy(x) for term in terms)) if terms else 0.0
 
     def load_potential(self, x: FloatArray) -> float:
         """Minus the work of gravity and dead loads from the reference positions, at their present size [J]."""

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from femdeform.fem.discretization import EDGES, BodyNodes
-from femdeform.types import FloatArray, IntArray, Mesh
+from femdeform.fem.discretization import EDGES, BodyNodes, Discretization
+from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
 
 
 class NodeSets:
@@ -70,6 +70,21 @@ class NodeSets:
         pairs = [(0, 1)] if k == 2 else EDGES["triangle"]
         middle = np.stack([self._middle(body, facets[:, list(pair)]) for pair in pairs], axis=1)
         return first + np.concatenate([facets, middle], axis=1)
+
+
+def holds_facets(discretization: Discretization, body: str, mesh: Mesh, facets: IntArray) -> BoolArray:
+    """Which boundary facets belong to a cell of this rank: each to exactly one rank, as it has one cell.
+
+    Facets with as many corners as a cell are cells themselves, those of membranes and rods.
+    """
+    groups = [g.cell_ids for g in discretization.groups if g.body == body]
+    if not groups:
+        return np.zeros(len(facets), dtype=bool)
+    cells = mesh.cells[np.concatenate(groups)]
+    if facets.shape[1] < cells.shape[1]:
+        cells = np.concatenate([np.delete(cells, k, axis=1) for k in range(cells.shape[1])])
+    scale = mesh.n_points ** np.arange(facets.shape[1])
+    return np.isin(np.sort(facets, axis=1) @ scale, np.sort(cells, axis=1) @ scale)
 
 
 def facet_measure(points: FloatArray, facets: IntArray) -> FloatArray:

@@ -46,6 +46,7 @@ _STATE = (
     ("kinetic_energy", "kinetic [J]", ".4g"),
     ("elastic_energy", "elastic [J]", ".4g"),
     ("load_potential", "loads [J]", ".4g"),
+    ("contact_energy", "contact [J]", ".4g"),
     ("linear_momentum", "linear momentum [kg m/s]", ".4g"),
     ("angular_momentum", "angular momentum [kg m²/s]", ".4g"),
     ("volume_ratio", "volume ratio", ".6f"),

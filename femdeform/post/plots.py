@@ -22,6 +22,7 @@ _ENERGIES = (
     ("elastic_energy", "elastic", "#ee6677"),
     ("link_energy", "links", "#aa3377"),
     ("potential_energy", "potential of the loads", "#228833"),
+    ("contact_energy", "contact", "#ccbb44"),
 )
 _MAX_CURVES = 12  # steps in the plot of the iterations: more cannot be told apart
 _MARKED = 60  # points up to which each is marked

@@ -24,7 +24,7 @@ from femdeform.types import FloatArray
 FILE_NAME = "checkpoint.h5"
 # What to do where there is nothing to go on from; a run does not write over another one's result unasked.
 START_ANEW = "run without --resume, with --overwrite or into another folder (--out)"
-_VERSION = 2
+_VERSION = 3
 _SEAL = b"\nfemdeform checkpoint sha256 "
 # Results of runs that ended too early to leave a checkpoint: nothing is lost by beginning again.
 _BEGUN = ("running", "interrupted", "failed")
@@ -44,6 +44,8 @@ class Checkpoint:
         Accepted steps.
     current_dt : float
         Size of the next step [s], smaller than the scene's after a failure.
+    streak : int
+        Accepted steps of that size, while it is smaller.
     frames : int
         Frames written.
     seconds : float
@@ -59,6 +61,7 @@ class Checkpoint:
     time: float
     step: int
     current_dt: float
+    streak: int
     frames: int
     seconds: float
     scene_hash: str
@@ -136,6 +139,7 @@ def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
                 time=float(attributes["time"]),
                 step=int(attributes["step"]),
                 current_dt=float(attributes["current_dt"]),
+                streak=int(attributes["streak"]),
                 frames=int(attributes["frames"]),
                 seconds=float(attributes["seconds"]),
                 scene_hash=str(attributes["scene_hash"]),

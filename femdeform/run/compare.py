@@ -85,8 +85,8 @@ class Comparison:
     steps : list of dict
         A row for every variant and step: variant, step, time, dt, iterations, linear_iterations, seconds, status,
         stopped_by, reported_residual (the solver's own), residual_norm, relative_residual, residual_max, force_scale,
-        objective, distance, distance_max, kinetic_energy, elastic_energy, load_potential, total_energy, volume_ratio,
-        min_jacobian, inverted_cells, and components of linear_momentum and angular_momentum.
+        objective, distance, distance_max, kinetic_energy, elastic_energy, load_potential, contact_energy, total_energy,
+        volume_ratio, min_jacobian, inverted_cells, and components of linear_momentum and angular_momentum.
     iterations : list of dict
         A row for every iteration, 0 being the start of the step: variant, step, iteration, seconds, residual_norm,
         relative_residual, residual_max, force_scale, objective, distance, distance_max.

@@ -22,6 +22,7 @@ _SCALARS = (
     "kinetic_energy",
     "elastic_energy",
     "load_potential",
+    "contact_energy",
     "total_energy",
     "volume_ratio",
     "min_jacobian",
@@ -62,6 +63,7 @@ class Judge:
         """
         self._problem.begin_step(state, dt)
         self._problem.place_obstacles(1.0)
+        self._problem.arrive_at(x_reference)
         # The level of rounding, by which rest is recognised, is known after a Hessian.
         self._problem.hessian(x_reference, project=True)
         self._problem.settle_force_scale(x_reference)
@@ -75,7 +77,7 @@ class Judge:
         return self._problem.roundoff_norm(x)
 
     def residual(self, x: FloatArray) -> dict[str, float]:
-        """Residual and objective at positions; not finite where the material is not defined.
+        """Residual and objective at positions; not finite where the material is not defined or surfaces intersect.
 
         Returns
         -------
@@ -83,6 +85,7 @@ class Judge:
             `residual_norm` [N], `force_scale`, which is R0 [N], `relative_residual`, their ratio [-], `residual_max`,
             the largest component [N], and `objective`, Phi [J].
         """
+        self._problem.arrive_at(x)
         with np.errstate(all="ignore"):
             r = self._problem.gradient(x)
             norm = self._problem.residual_norm(r)

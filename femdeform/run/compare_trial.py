@@ -168,9 +168,10 @@ class Trial:
         measured = judge.residual(result.x) | judge.distance(result.x, target)
         if np.isfinite(result.x).all() and math.isfinite(measured["residual_norm"]):
             status = CONVERGED if result.converged else STOPPED
+            spent = budget.spent(result.iterations)
             if result.is_fixed_work:
                 status = WORK_DONE
-            elif result.reason == budget.spent(result.iterations):
+            elif spent is not None and spent in result.reason:  # on the way of the supports too
                 status = SPENT
             after: State | None = problem.accept(state, result.x)
             assert after is not None

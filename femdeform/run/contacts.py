@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from femdeform.contact.facing import FacetShares, FacingStiffness
 from femdeform.contact.ipc import IPCContact
 from femdeform.contact.ipc_setup import ContactNumbers, contact_numbers, initial_findings, surface_facets
 from femdeform.contact.obstacle_barrier import ObstacleBarrier
@@ -15,7 +16,7 @@ from femdeform.contact.surface import CollisionSurface, SurfacePart, collision_s
 from femdeform.contact.terms import CouplingContact, NodeContact
 from femdeform.errors import InputError
 from femdeform.fem.discretization import Discretization
-from femdeform.fem.node_sets import NodeSets, facet_measure
+from femdeform.fem.node_sets import NodeSets, facet_measure, holds_facets
 from femdeform.scene import schema
 from femdeform.scene.contact_schema import IPCMethod
 from femdeform.types import FloatArray, IntArray, Mesh
@@ -44,13 +45,12 @@ def make_contacts(
         return _barriers(scene, scene.contact, meshes, discretization, notices, _STICK_VELOCITY * size)
     if not scene.obstacles:
         return [], []
-    nodes, areas, default = _surface(scene, meshes, discretization)
     contacts: list[NodeContact] = []
     for obstacle in scene.obstacles:
-        stiffness = areas * (default if obstacle.stiffness is None else obstacle.stiffness)
+        nodes, weigh = _surface(scene, meshes, discretization, obstacle.stiffness)
         velocity = _velocity(obstacle, discretization.dim)
         contacts.append(
-            PenaltyContact(make_shape(obstacle), nodes, stiffness, obstacle.friction, velocity, _STICK_VELOCITY * size)
+            PenaltyContact(make_shape(obstacle), nodes, weigh, obstacle.friction, velocity, _STICK_VELOCITY * size)
         )
     return contacts, []
 
@@ -150,27 +150,30 @@ def _elastic_resistance(body: schema.Body, numbers: ContactNumbers, name: str) -
 
 
 def _surface(
-    scene: schema.DeformableScene, meshes: Mapping[str, Mesh], discretization: Discretization
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Owned surface nodes, the area around each [m^2], and the default stiffness per area there [Pa/m]."""
+    scene: schema.DeformableScene, meshes: Mapping[str, Mesh], discretization: Discretization, stiffness: float | None
+) -> tuple[IntArray, FacingStiffness]:
+    """Owned nodes on the surface, and their stiffness against an obstacle of a stiffness per area [Pa/m] or none."""
     sets = NodeSets(meshes, discretization.bodies)
-    area = np.zeros(discretization.partition.n_global)
-    default = np.zeros_like(area)
+    on_surface = []
+    parts = []
     for name, mesh in meshes.items():
         body = scene.bodies[name]
-        facets = mesh.facet_groups["boundary"] if body.kind == "solid" else mesh.cells
+        facets = surface_facets(body, mesh)
         measure = facet_measure(mesh.points, facets)
         if body.kind == "rod":
             measure = measure * np.sqrt(body.cross_section)
-        numbers = sets.facet_nodes(name, facets)
-        # Equal shares: the corners of a quadratic facet carry no load in the energy, but they must not fall through.
-        np.add.at(area, numbers, np.repeat((measure / numbers.shape[1])[:, None], numbers.shape[1], axis=1))
+        nodes = sets.facet_nodes(name, facets)
+        on_surface.append(np.unique(nodes))
         materials = [body.material, *body.regions.values()]
         modulus = max(material.youngs_modulus for material in materials if material is not None)
         edges = mesh.points[facets]
         length = float(np.mean(np.linalg.norm(edges - np.roll(edges, 1, axis=1), axis=2)))
-        default[np.unique(numbers)] = 10.0 * modulus / length
-    chosen = np.flatnonzero(area > 0.0)
-    local = discretization.local_numbers[chosen]
-    owned = (local >= 0) & (local < discretization.partition.n_owned)
-    return local[owned], area[chosen[owned]], default[chosen[owned]]
+        per_area = 10.0 * modulus / length if stiffness is None else stiffness
+        held = holds_facets(discretization, name, mesh, facets)
+        local = discretization.local_numbers[nodes[held]]
+        # Equal shares: the corners of a quadratic facet carry no load in the energy, but they must not fall through.
+        share = per_area * measure[held] / nodes.shape[1]
+        parts.append(FacetShares(local, facets.shape[1], share, body.kind == "solid"))
+    local = discretization.local_numbers[np.concatenate(on_surface)]
+    owned = local[(local >= 0) & (local < discretization.partition.n_owned)]
+    return owned, FacingStiffness(parts, owned, discretization.partition)

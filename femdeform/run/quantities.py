@@ -293,9 +293,14 @@ def _load_potential(snapshot: Snapshot) -> float:
     return snapshot.simulation.problem.load_potential(snapshot.state.x)
 
 
+def _contact_energy(snapshot: Snapshot) -> float:
+    return snapshot.simulation.problem.contact_energy(snapshot.state.x)
+
+
 def _total_energy(snapshot: Snapshot) -> float:
-    inside = _elastic_energy(snapshot, None) + snapshot.simulation.problem.link_energy(snapshot.state.x)
-    return _kinetic_energy(snapshot) + inside + _load_potential(snapshot)
+    problem, x = snapshot.simulation.problem, snapshot.state.x
+    inside = _kinetic_energy(snapshot) + _elastic_energy(snapshot, None) + problem.link_energy(x)
+    return inside + _load_potential(snapshot) + _contact_energy(snapshot)
 
 
 def _max_displacement(snapshot: Snapshot) -> float:
@@ -312,6 +317,7 @@ _OF_CELLS: dict[str, Callable[[Snapshot, str | None], float]] = {
 _OF_THE_SYSTEM: dict[str, Evaluate] = {
     "kinetic_energy": _kinetic_energy,
     "load_potential": _load_potential,
+    "contact_energy": _contact_energy,
     "total_energy": _total_energy,
     "max_displacement": _max_displacement,
 }

@@ -34,6 +34,7 @@ HISTORY_COLUMNS = (
     "kinetic_energy",
     "elastic_energy",
     "potential_energy",
+    "contact_energy",
     "seconds",
 )
 ITERATION_COLUMNS = (
@@ -46,6 +47,7 @@ ITERATION_COLUMNS = (
     "linear_iterations",
     "seconds",
 )
+
 
 class Recorder:
     """Writes one result folder.

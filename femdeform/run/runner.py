@@ -159,7 +159,7 @@ class _Run:
         self.state = self.simulation.state if checkpoint is None else self._restore(checkpoint)
         self.resumed = checkpoint is not None
         self.last_saved = self.state.step if self.resumed else -1
-        self.next_dt = self.control.current
+        self.next_dt, self.streak = self.control.current, self.control.streak
         self.recorder: Recorder | None = None
         if self.is_first:
             step = self.state.step if self.resumed else None
@@ -232,7 +232,7 @@ class _Run:
         problem = self.simulation.problem
         self.state = state
         # Not what is in use when a checkpoint is written: that may belong to a later attempt.
-        self.next_dt = self.control.current
+        self.next_dt, self.streak = self.control.current, self.control.streak
         now = time.perf_counter()
         row: dict[str, float | int | str] = {
             "step": state.step,
@@ -245,6 +245,7 @@ class _Run:
             "kinetic_energy": problem.kinetic_energy(state.v),
             "elastic_energy": problem.elastic_energy(state.x),
             "potential_energy": problem.load_potential(state.x),
+            "contact_energy": problem.contact_energy(state.x),
             "seconds": now - self.step_begin,
             "force_scale": problem.force_scale,
             "failed_attempts": self.n_failures,
@@ -308,6 +309,7 @@ class _Run:
                     state.time,
                     state.step,
                     self.next_dt,
+                    self.streak,
                     self.n_frames,
                     self._seconds(),
                     self.loaded.hash,
@@ -321,7 +323,7 @@ class _Run:
         partition = self.simulation.discretization.partition
         if checkpoint.x.shape != (partition.n_global, self.simulation.discretization.dim):
             raise InputError(f"{self.folder}: the checkpoint is of another mesh; {START_ANEW}")
-        self.control.current = checkpoint.current_dt
+        self.control.current, self.control.streak = checkpoint.current_dt, checkpoint.streak
         self.n_frames = checkpoint.frames
         return State(
             partition.restrict(checkpoint.x), partition.restrict(checkpoint.v), checkpoint.time, checkpoint.step

@@ -10,6 +10,9 @@ from femdeform.step_problem import IterationObserver, StepResult, StepSolver
 
 # A remainder of the last step smaller than this part of dt is rounding, not a step.
 _REMAINDER = 1e-9
+# Accepted steps of one size before the next larger one is tried. A step that was too hard is seldom followed by one
+# that is easy, and a failed attempt costs as much as many accepted steps.
+_PATIENCE = 3
 
 
 @dataclass
@@ -27,7 +30,9 @@ class StepControl:
     halve : bool
         Halve the step on failure; otherwise stop.
     current : float
-        Step in use [s]: `dt`, or less after a failure. It doubles after each accepted step until it is `dt` again.
+        Step in use [s]: `dt`, or less after a failure. It doubles every few accepted steps until it is `dt` again.
+    streak : int
+        Accepted steps of the size in use, while that is less than `dt`.
     """
 
     dt: float
@@ -35,6 +40,7 @@ class StepControl:
     min_dt: float
     halve: bool
     current: float = 0.0
+    streak: int = 0
 
     def __post_init__(self) -> None:
         if self.current <= 0.0:
@@ -50,15 +56,19 @@ class StepControl:
         return left if left <= self.current * (1.0 + _REMAINDER) else self.current
 
     def accepted(self) -> None:
-        """Return towards the step asked for."""
-        self.current = min(self.dt, 2.0 * self.current)
+        """Return towards the step asked for, once a few steps of the present size were accepted."""
+        if self.current >= self.dt:
+            return
+        self.streak += 1
+        if self.streak >= _PATIENCE:
+            self.current, self.streak = min(self.dt, 2.0 * self.current), 0
 
     def failed(self, dt: float) -> bool:
         """Halve the step that failed; False if the run has to stop instead."""
         # The last step may be shorter than the current one: half of what was tried is what makes a difference.
         if not self.halve or 0.5 * dt < self.min_dt:
             return False
-        self.current = 0.5 * dt
+        self.current, self.streak = 0.5 * dt, 0
         return True
 
 
@@ -143,5 +153,3 @@ def _failure_text(state: State, dt: float, result: StepResult, control: StepCont
 def default_min_dt(dt: float, min_dt: float | None) -> float:
     """Smallest step of a scene that gives none: six halvings."""
     return dt / 64.0 if min_dt is None else min_dt
-
-

@@ -50,7 +50,7 @@ class MixedFEMSolver(SceneModel):
         lt=1.0,
         description="residual of each block row of the saddle system over its own size [-]",
     )
-    kkt_max_iterations: int = Field(default=2000, ge=1, description="iterations of kkt_minres and kkt_cg")
+    kkt_max_iterations: int = Field(default=10000, ge=1, description="iterations of kkt_minres and kkt_cg")
 
     twist: Literal["rule", "never", "always"] = Field(
         default="rule",

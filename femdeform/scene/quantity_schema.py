@@ -61,9 +61,9 @@ class CellQuantity(SceneModel):
 
 
 class SystemQuantity(SceneModel):
-    kind: Literal["kinetic_energy", "load_potential", "total_energy", "max_displacement"] = Field(
-        description="kinetic energy [J], potential of gravity and dead loads [J], their sum with the elastic energy "
-        "and that of links [J], largest nodal displacement [m]"
+    kind: Literal["kinetic_energy", "load_potential", "contact_energy", "total_energy", "max_displacement"] = Field(
+        description="kinetic energy [J], potential of gravity and dead loads [J], energy of penetration or of barriers "
+        "in contact [J], their sum with the elastic energy and that of links [J], largest nodal displacement [m]"
     )
 
 
@@ -158,7 +158,8 @@ class Expect(SceneModel):
     elastic_energy: ExpectedValue | None = Field(default=None, description="elastic energy [J]")
     kinetic_energy: ExpectedValue | None = Field(default=None, description="kinetic energy [J]")
     total_energy: ExpectedValue | None = Field(
-        default=None, description="kinetic and elastic energy, that of links, potential of gravity and dead loads [J]"
+        default=None,
+        description="kinetic and elastic energy, that of contact and of links, potential of gravity and dead loads [J]",
     )
     max_displacement: ExpectedValue | None = Field(default=None, description="largest nodal displacement [m]")
     min_jacobian: ExpectedValue | None = Field(default=None, description="smallest det F [-]")

@@ -253,13 +253,16 @@ class _Load(_ConditionModel):
 
 
 class Traction(_Load):
-    kind: Literal["traction"] = Field(description="force per area on facets, constant in direction")
+    kind: Literal["traction"] = Field(description="force per area on facets, or on a membrane, constant in direction")
     value: Vector = Field(description="force per reference area (2D: per unit thickness), dead load [Pa]")
 
 
 class Pressure(_Load):
-    kind: Literal["pressure"] = Field(description="pressure on facets, normal to the deformed surface")
-    value: Finite = Field(description="pressure on the deformed surface, positive inward [Pa]")
+    kind: Literal["pressure"] = Field(description="pressure on facets or a membrane, normal to the deformed surface")
+    value: Finite = Field(
+        description="pressure on the deformed surface, positive inward; on a membrane against the normals of its "
+        "triangles, which point outward in closed recipes [Pa]"
+    )
 
 
 class PointLoad(_Load):

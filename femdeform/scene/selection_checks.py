@@ -122,14 +122,16 @@ def _judge_extent(
     if not nodes:
         yield Finding(path, f"selects nothing: no node lies there ({_extent(meshes)})")
     elif needs_facets:
-        # The border of a membrane is a line, the end of a rod a point: neither has an area, nor a normal.
-        others = [body for body in nodes if scene.bodies[body].kind != "solid"]
+        # The end of a rod is a point: it has no area, nor a normal.
+        others = [body for body in nodes if scene.bodies[body].kind == "rod"]
         if others:
-            kind = scene.bodies[others[0]].kind
-            message = f"body `{others[0]}` is a {kind}, but this load acts on facets of solids; use point_load"
+            message = f"body `{others[0]}` is a rod, but this load acts on areas; use point_load"
             yield Finding(path, message)
         elif not select_facets(selection, meshes):
-            yield Finding(path, f"{subject} holds nodes, but no facet of the boundary for the load to act on")
+            what = "facet of the boundary"
+            if all(scene.bodies[body].kind == "membrane" for body in nodes):
+                what = "whole cell of the membrane"
+            yield Finding(path, f"{subject} holds nodes, but no {what} for the load to act on")
 
 
 def judge_point(

@@ -55,19 +55,20 @@ def select_nodes(selection: Selection, meshes: Mapping[str, Mesh]) -> dict[str, 
 
 
 def select_facets(selection: Selection, meshes: Mapping[str, Mesh]) -> dict[str, IntArray]:
-    """Boundary facets that a selection names.
+    """Facets with an area that a selection names: of the boundary, or where a mesh is a surface in space, its cells.
 
     Parameters
     ----------
     selection : str or selection model
-        A facet group gives its facets; anything else gives the boundary facets all of whose nodes it selects.
+        A facet group gives its facets; anything else gives the facets all of whose nodes it selects.
     meshes : mapping of str to Mesh
         Meshes by body.
 
     Returns
     -------
     dict of str to (n, k - 1) int64
-        Facets by body, outward; bodies of which nothing is selected are left out.
+        Facets by body, outward, or as the cells of a surface are turned; bodies of which nothing is selected are left
+        out.
 
     Raises
     ------
@@ -76,14 +77,15 @@ def select_facets(selection: Selection, meshes: Mapping[str, Mesh]) -> dict[str,
     """
     if isinstance(selection, str):
         body, group = split_name(selection, meshes)
-        if group is not None and group in meshes[body].facet_groups:
-            facets = meshes[body].facet_groups[group]
+        mesh = meshes[body]
+        if group is not None and group in (mesh.cell_groups if _is_surface(mesh) else mesh.facet_groups):
+            facets = mesh.cells[mesh.cell_groups[group]] if _is_surface(mesh) else mesh.facet_groups[group]
             return {body: facets} if len(facets) else {}
     result: dict[str, IntArray] = {}
     for body, nodes in select_nodes(selection, meshes).items():
         mesh = meshes[body]
-        boundary = mesh.facet_groups.get("boundary")
-        if boundary is None or not len(boundary):  # a closed surface has none
+        boundary = mesh.cells if _is_surface(mesh) else mesh.facet_groups.get("boundary")
+        if boundary is None or not len(boundary):
             continue
         is_selected = np.zeros(mesh.n_points, dtype=np.bool_)
         is_selected[nodes] = True
@@ -91,6 +93,11 @@ def select_facets(selection: Selection, meshes: Mapping[str, Mesh]) -> dict[str,
         if len(facets):
             result[body] = facets
     return result
+
+
+def _is_surface(mesh: Mesh) -> bool:
+    """Whether its cells are facets themselves: those of membranes. The lines around them have no area."""
+    return mesh.cell_type == "triangle" and mesh.dim == 3
 
 
 def split_name(name: str, meshes: Mapping[str, Mesh]) -> tuple[str, str | None]:

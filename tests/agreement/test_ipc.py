@@ -380,13 +380,7 @@ def test_random_drops(seed: int) -> None:
     def energy() -> float:
         state = simulation.state
         stored = problem.kinetic_energy(state.v) + problem.elastic_energy(state.x) + problem.load_potential(state.x)
-        for term in (*barriers(simulation), bodies_contact(simulation)):
-            # Without friction, whose work is not stored; a step begun again changes nothing.
-            friction, term.friction = term.friction, 0.0
-            term.begin_step(state.x, problem.time, problem.dt)
-            stored += term.value(state.x)
-            term.friction = friction
-        return stored
+        return stored + problem.contact_energy(state.x)
 
     problem.begin_step(simulation.state, 0.02)
     energies = [energy()]
@@ -394,6 +388,33 @@ def test_random_drops(seed: int) -> None:
     # Backward Euler only takes energy away, up to the tolerance of the steps and what a non-convex energy may give.
     assert np.diff(energies).max() < 1e-3 * energies[0]
     assert energies[-1] < energies[0]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_the_energy_of_contact_is_that_of_its_forces(friction: float) -> None:
+    """Its change is the work of the barriers' forces alone, whatever friction does in the step."""
+    upper = body(block([0.2, 0.1], [2, 1], translate=[0.05, 0.108]), STIFF)
+    data = scene(
+        {"lower": body(block([0.3, 0.1], [3, 1], translate=[0.0, 0.004]), STIFF), "upper": upper},
+        {"kind": "initial_velocity", "on": "upper", "velocity": [0.3, 0.0]},
+        obstacles=[ground(2, friction=friction)],
+        contact={**IPC, "friction": friction, "distance": 0.01},
+        gravity=[0.0, -G],
+    )
+    simulation = build(data)
+    problem, state = simulation.problem, simulation.state
+    problem.begin_step(state, 0.01)
+    assert problem.contact_energy(state.x) > 0.0
+    # Frictionless forces: those at the start of a step, when nothing has slipped yet.
+    force = sum(force_of(term, state.x) for term in (*barriers(simulation), bodies_contact(simulation)))
+    move = 1e-7 * np.random.default_rng(0).standard_normal(state.x.shape)
+    change = problem.contact_energy(state.x + move) - problem.contact_energy(state.x - move)
+    assert change == pytest.approx(-2.0 * np.vdot(force, move), rel=1e-5)
+    slid = state.x.copy()
+    slid[simulation.conditions.local_nodes("upper"), 0] += 1e-3
+    value = sum(term.value(slid) for term in (*barriers(simulation), bodies_contact(simulation)))
+    work = value - problem.contact_energy(slid)
+    assert work > 0.1 if friction else work == 0.0
 
 
 def test_a_bullet_does_not_tunnel() -> None:

@@ -71,7 +71,7 @@ def test_distances_are_the_ones_of_geometry() -> None:
 def contact(shape: Shape, n: int, dim: int, friction: float = 0.0) -> PenaltyContact:
     stiffness = np.linspace(50.0, 150.0, n)
     velocity = np.array([0.3, -0.2, 0.1])[:dim]
-    return PenaltyContact(shape, np.arange(n), stiffness, friction, velocity, stick_velocity=0.05)
+    return PenaltyContact(shape, np.arange(n), lambda x, normals: stiffness, friction, velocity, stick_velocity=0.05)
 
 
 def gradient(term: PenaltyContact, x: Any) -> Any:

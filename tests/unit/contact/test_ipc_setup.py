@@ -156,6 +156,25 @@ def test_a_barrier_that_acts_at_rest_is_told() -> None:
     assert "the barrier acts inside `b` at rest" in notice
 
 
+def test_a_body_that_the_barrier_throws_off_is_told() -> None:
+    """Only one that starts well inside its reach, 0.0125 m here: how far it comes says that it is thrown."""
+    moved = []
+    for gap, told in ((0.011, False), (0.004, True)):
+        for obstacle in (False, True):
+            data = apart(gap if not obstacle else 0.1, contact={"method": "ipc", "distance": 0.0125})
+            if obstacle:
+                data["obstacles"] = [{"kind": "plane", "point": [-gap, 0.0], "normal": [1.0, 0.0]}]
+            simulation = build(data)
+            assert len(simulation.notices) == told
+            if told:
+                who = "`a` starts at `obstacles[0]`" if obstacle else "`b` starts at `a`"
+                for part in (f"{who} near", "with a gap of 0.004 m", "from 0.0125 m on"):
+                    assert part in simulation.notices[0]
+            step(simulation)
+            moved.append(float(np.abs(simulation.state.v).max()))
+    assert min(moved[2:]) > 5.0 * max(moved[:2])
+
+
 def faults(tmp_path: Path, data: dict[str, Any]) -> list[str]:
     return [f"{fault.key}: {fault.message}" for fault in check_file(write(data, tmp_path / "scene.yaml"))]
 

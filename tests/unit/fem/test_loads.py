@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scenario import block, body, build, displacement, material, quasistatic, run, scene, step
+from scipy.optimize import brentq
 
 from femdeform.run.setup import Simulation
 
@@ -207,3 +208,59 @@ def test_hanging_bar_stretches_as_it_should() -> None:
     simulation = run(data)
     tip = simulation.conditions.local_nodes("b.right")
     np.testing.assert_allclose(displacement(simulation)[tip, 0], 1000.0 * 9.81 / 2e6, rtol=1e-9)
+
+
+# ------------------------------------------------------------------------------------------- membranes
+
+
+def cloth(*conditions: dict[str, Any]) -> Simulation:
+    mesh = {"recipe": "cloth", "size": [2.0, 1.0], "cells": [3, 2]}
+    return build(scene({"b": body(mesh, kind="membrane", thickness=1e-2)}, *conditions))
+
+
+def test_traction_on_a_membrane_is_value_times_area() -> None:
+    t = np.array([3.0, -2.0, 0.7])
+    simulation = cloth({"kind": "traction", "on": "b", "value": t.tolist()})
+    simulation.problem.set_loads(0.5)
+    np.testing.assert_allclose(simulation.problem.load.sum(axis=0), 2.0 * t, rtol=1e-12)
+
+
+def test_pressure_on_a_membrane_follows_it() -> None:
+    """Against the normal of its triangles, times the area they have now."""
+    simulation = cloth({"kind": "pressure", "on": "b", "value": 7.0})
+    problem, X = simulation.problem, simulation.discretization.points
+    problem.begin_step(simulation.state, 0.01)
+    (pressure,) = problem.pressures
+    normal = np.cross(*(X[pressure.cells[:, k]] - X[pressure.cells[:, 0]] for k in (1, 2)))[0]
+    up = np.array([0.0, np.sign(normal[1]), 0.0])
+    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    for x, area, side in ((X, 2.0, up), (X * [1.5, 1.0, 2.0], 6.0, up), (X @ turn, 2.0, up @ turn)):
+        slots = np.empty((pressure.cells.size, 3))
+        pressure.gradient(x, slots, 0)
+        np.testing.assert_allclose(-slots.sum(axis=0), -7.0 * area * side, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["projected_newton", "mixed_fem"])
+def test_a_balloon(method: str) -> None:
+    """A thin sphere of radius R stretched by s holds the pressure t psi'(s) / (R s^2), with psi(s) = psi(s, s, 1)."""
+    E, nu, R, t, p = 1.0e6, 0.45, 0.1, 1.0e-3, 4000.0
+    mesh = {"recipe": "sphere_surface", "radius": R, "element_size": 0.015}
+    data = scene(
+        {"b": body(mesh, material("corotated", E=E, nu=nu), kind="membrane", thickness=t)},
+        {"kind": "fixed", "on": "b.bottom"},
+        {"kind": "fixed", "on": "b.top", "components": ["x", "z"]},
+        # It may not turn about its axis.
+        {"kind": "fixed", "on": {"box": [[0.0, -1e-3, -1.0], [1e-3, 1e-3, 1.0]]}, "components": ["x"]},
+        {"kind": "pressure", "on": "b", "value": -p},
+        time=quasistatic(0.25),
+        solver={"method": method},
+    )
+    simulation = run(data)
+    x = simulation.state.x
+    middle = 0.5 * (x[:, 1].max() + x[:, 1].min())
+    found = np.linalg.norm(x - [0.0, middle, 0.0], axis=1).mean() / R
+    mu, lam = E / (2.0 * (1.0 + nu)), E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    # psi = mu sum (s_i - 1)^2 + lambda / 2 (sum (s_i - 1))^2
+    exact = brentq(lambda s: (4.0 * mu * (s - 1.0) + 4.0 * lam * (s - 1.0)) * t / (R * s**2) - p, 1.0, 1.9)
+    assert exact > 1.02
+    assert found - 1.0 == pytest.approx(exact - 1.0, rel=0.03)

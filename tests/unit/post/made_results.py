@@ -22,9 +22,7 @@ def block(n: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[np
     axes = [np.linspace(0.0, s, k + 1) for s, k in zip(size, n, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     number = np.arange(len(points)).reshape([k + 1 for k in n])
-    corners = [
-        number[a : n[0] + a, b : n[1] + b, c : n[2] + c].ravel() for a in (0, 1) for b in (0, 1) for c in (0, 1)
-    ]
+    corners = [number[a : n[0] + a, b : n[1] + b, c : n[2] + c].ravel() for a in (0, 1) for b in (0, 1) for c in (0, 1)]
     return points, np.concatenate([np.stack([corners[k] for k in cell], axis=1) for cell in _CUBE])
 
 
@@ -69,7 +67,8 @@ def record(
                     {"step": step, "iteration": iteration, "relative_residual": 10.0 ** (-2 * iteration - step)}
                 )
             numbers = {"dt": 0.25, "iterations": 4, "linear_iterations": 4, "residual_norm": 1e-7, "seconds": 0.1}
-            energies = {"kinetic_energy": time, "elastic_energy": time**2, "potential_energy": -time}
+            energies = {"kinetic_energy": time, "elastic_energy": time**2}
+            energies |= {"potential_energy": -time, "contact_energy": 0.0}
             recorder.step({"step": step, "time": time, "relative_residual": 10.0**-step, **numbers, **energies})
         fields = cell_data(time) if cell_data is not None else {}
         recorder.frame(step, time, {"displacement": displacement, "velocity": 2.0 * displacement}, fields)

@@ -18,7 +18,7 @@ def checkpoint() -> Checkpoint:
     rng = np.random.default_rng(0)
     x, v = rng.standard_normal((50, 3)), rng.standard_normal((50, 3))
     x[0, 0], v[0, 0] = 0.1 + 0.2, 5e-324
-    return Checkpoint(x, v, 0.1 + 0.2, 7, 0.0125, 3, 12.5, "abc", {"beam": "0f"})
+    return Checkpoint(x, v, 0.1 + 0.2, 7, 0.0125, 2, 3, 12.5, "abc", {"beam": "0f"})
 
 
 def test_round_trip(tmp_path: Path, checkpoint: Checkpoint) -> None:

@@ -272,6 +272,45 @@ def test_positions_without_forces_are_divergence(tmp_path: Path, monkeypatch: py
     assert row["inverted_cells"] == 24.0
 
 
+def two_blocks(**more: Any) -> dict[str, Any]:
+    """A small block beside a large one that is held, with contact between them."""
+    bodies = {
+        "small": body(block([0.1, 0.1], [1, 1], translate=[-0.2, 0.0])),
+        "large": body(block([0.4, 0.4], [2, 2])),
+    }
+    held = {"kind": "fixed", "on": "large.bottom"}
+    return scene(bodies, held, *more.pop("conditions", ()), contact={"method": "ipc"}, **more)
+
+
+def test_a_way_that_bends_round_a_body_is_no_divergence() -> None:
+    """A straight way to the other side of the large block leads through it: positions are judged, not ways."""
+    simulation = build(two_blocks())
+    judge = Judge(simulation)
+    state = simulation.state
+    small = simulation.conditions.local_nodes("small")
+    inside, beyond = state.x.copy(), state.x.copy()
+    inside[small] += [0.15, 0.1]
+    beyond[small] += [0.7, 0.0]
+    for target in (state.x, beyond):
+        judge.begin_step(state, 0.01, target)
+        assert math.isfinite(judge.residual(beyond)["objective"])
+        assert math.isfinite(judge.residual(beyond)["relative_residual"])
+        for _ in range(2):
+            assert not math.isfinite(judge.residual(inside)["objective"])
+            assert not math.isfinite(judge.residual(inside)["residual_norm"])
+        assert math.isfinite(judge.residual(state.x)["objective"])
+
+
+def test_a_budget_that_ends_on_the_way_of_the_supports_is_spent(tmp_path: Path) -> None:
+    """Contact breaks the motion of the supports into portions, of which one is all that is paid for."""
+    push = {"kind": "translate", "on": "small.left", "velocity": [0.14, 0.0]}
+    data = two_blocks(conditions=[push], time=quasistatic(1.0))
+    (row,) = compare(write(data, tmp_path / "s.yaml"), [EXACT], iterations=1).steps
+    assert row["stopped_by"].startswith("only ")
+    assert row["stopped_by"].endswith("the budget of 1 iteration is spent")
+    assert row["status"] == "budget spent"
+
+
 def test_a_reference_that_does_not_converge_is_an_error(tmp_path: Path) -> None:
     """The logarithmic law pulled through J = 0 by the supports."""
     crush = {"kind": "translate", "on": "b.right", "velocity": [-1.2, 0.0]}

@@ -28,6 +28,7 @@ ALL_SCALARS = (
     "inverted_cells",
     "kinetic_energy",
     "load_potential",
+    "contact_energy",
     "total_energy",
     "max_displacement",
 )

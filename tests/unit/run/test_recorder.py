@@ -38,6 +38,7 @@ def row(step: int, **more: float | str) -> dict[str, Any]:
         "kinetic_energy": math.sin(step),
         "elastic_energy": 0.5 * step,
         "potential_energy": -0.1 * step,
+        "contact_energy": 0.01 * step,
         "seconds": 0.25,
     }
     return {"step": step, **numbers, **more}

@@ -7,11 +7,12 @@ import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from running import bar, expecting, facts, rolling
-from scenario import body, material, quasistatic, scene, write
+from scenario import block, body, material, quasistatic, scene, write
 from scipy.optimize import brentq
 
 from femdeform.run import runner
@@ -155,6 +156,33 @@ def test_a_cloth_hangs(tmp_path: Path) -> None:
     sides = final.positions[triangles[:, 1:]] - final.positions[triangles[:, :1]]
     area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum()
     assert area == pytest.approx(1.0, rel=0.05)
+
+
+@pytest.mark.parametrize("contact", [{"method": "penalty"}, {"method": "ipc", "distance": 0.02, "stiffness": 3.0e3}])
+def test_the_energy_balance_is_closed_in_contact(contact: dict[str, Any], tmp_path: Path) -> None:
+    """A plate bounces on soft ground: what is missing while it touches is in the column of contact."""
+    ground: dict[str, Any] = {"kind": "plane", "point": [0, 0], "normal": [0, 1]}
+    if contact["method"] == "penalty":
+        ground["stiffness"] = 1.0e6
+    data = scene(
+        {"b": body(block([0.4, 0.1], [4, 1], translate=[0.0, 0.03]), material(E=1e6))},
+        {"kind": "initial_velocity", "on": "b", "velocity": [0.0, -1.0]},
+        obstacles=[ground],
+        contact=contact,
+        gravity=[0.0, -9.81],
+        time={"scheme": "backward_euler", "dt": 0.0005, "end": 0.1},
+        measure={"total": {"kind": "total_energy"}},
+    )
+    assert run_scene(write(data, tmp_path / "s.yaml"), out=tmp_path / "out", quiet=True) == 0
+    table = read_table(tmp_path / "out" / "history.csv")
+    without = table["kinetic_energy"] + table["elastic_energy"] + table["potential_energy"]
+    total = without + table["contact_energy"]
+    np.testing.assert_allclose(table["measure.total"], total, rtol=1e-12, atol=1e-9)
+    assert table["contact_energy"].max() > 0.1 * total[0]
+    assert np.diff(without).max() > 0.05 * total[0]  # as if it came from nowhere
+    assert np.diff(total).max() < 1e-6 * total[0]
+    assert 0.6 * total[0] < total[-1]
+    assert table["contact_energy"][0] == table["contact_energy"][-1] == 0.0  # before it comes and after it has left
 
 
 def test_a_net_of_rods_falls_onto_a_ball(tmp_path: Path) -> None:

@@ -84,8 +84,10 @@ def test_halving_and_return_to_the_step_asked_for() -> None:
     assert outcome.finished
     assert fake.failures[:2] == [(0.1, True), (0.05, True)]
     assert min(fake.accepted[:-1]) == 0.025
-    for before, after in itertools.pairwise(fake.accepted):
+    sizes = [(size, len(list(equal))) for size, equal in itertools.groupby(fake.accepted)]
+    for (before, count), (after, _) in itertools.pairwise(sizes):
         assert after <= 2.0 * before * (1.0 + 1e-12)  # no jump back
+        assert before == 0.1 or count >= 3  # nor at the first success
     assert fake.accepted.count(0.1) >= 6
     assert sum(fake.accepted) == pytest.approx(1.0, abs=1e-12)
     # A retry starts from the state of the failed attempt.
@@ -123,9 +125,39 @@ def test_a_failed_last_step_is_halved_itself() -> None:
 
 def test_going_on_with_a_small_step() -> None:
     fake = Fake(never)
-    outcome = fake.run(StepControl(0.1, 1.0, 0.01, True, current=0.0125), time=0.5)
+    outcome = fake.run(StepControl(0.1, 1.0, 0.01, True, current=0.025), time=0.5)
     assert outcome.finished
-    np.testing.assert_allclose(fake.accepted[:4], [0.0125, 0.025, 0.05, 0.1])
+    np.testing.assert_allclose(fake.accepted[:7], [0.025] * 3 + [0.05] * 3 + [0.1])
+
+
+def test_a_step_size_that_keeps_failing_is_not_tried_after_every_success() -> None:
+    fake = Fake(lambda time, dt: dt > 0.5)
+    outcome = fake.run(control(dt=1.0, end=30.0))
+    assert outcome.finished
+    assert fake.accepted == [0.5] * 60
+    assert len(fake.failures) == 20
+
+
+def test_going_on_in_the_midst_of_small_steps() -> None:
+    """Whatever step a run is broken at, time, size and streak are all that the rest depends on."""
+    hard = Fake(lambda time, dt: 0.3 < time + dt < 0.5 and dt > 0.03)
+    left: list[tuple[float, float, int]] = []
+    steps = control()
+    run_time_loop(
+        hard,  # type: ignore[arg-type]
+        hard,
+        steps,
+        State(np.zeros((1, 2)), np.zeros((1, 2))),
+        on_accept=lambda state, result, dt: left.append((state.time, steps.current, steps.streak)),
+        on_failure=lambda state, result, dt, retry: None,
+        observe=lambda step: None,
+    )
+    assert {streak for _, _, streak in left} == {0, 1, 2}
+    for time, current, streak in left:
+        rest = Fake(hard.fails)
+        rest.run(StepControl(0.1, 1.0, 0.01, True, current, streak), time)
+        assert rest.tried == hard.tried[len(hard.tried) - len(rest.tried) :]
+        assert time == 1.0 or rest.tried[0][0] == time
 
 
 def test_nothing_left_to_do() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from femdeform import registry
 from femdeform.errors import InputError
-from femdeform.scene.mesh_schema import BlockMesh, SphereSurfaceMesh
+from femdeform.scene.mesh_schema import BlockMesh, ClothMesh, SphereSurfaceMesh
 from femdeform.scene.selection_schema import (
     BoxSelection,
     NodeSelection,
@@ -134,10 +134,16 @@ def test_nodes_by_number(meshes: dict[str, Mesh]) -> None:
     assert select_nodes(NodeSelection(nodes=[44]), {"a": meshes["a"]})["a"].tolist() == [44]
 
 
-def test_a_closed_surface_has_no_facets() -> None:
+def test_facets_of_a_surface_are_its_cells() -> None:
     source = SphereSurfaceMesh(recipe="sphere_surface", element_size=0.3)
     ball = registry.resolve(registry.MESH["build"])(source, Path())
-    assert select_facets("ball", {"ball": ball}) == {}
+    np.testing.assert_array_equal(select_facets("ball", {"ball": ball})["ball"], ball.cells)
+    cloth = registry.resolve(registry.MESH["build"])(ClothMesh(recipe="cloth", cells=(2, 1)), Path())
+    assert select_facets("cloth.left", {"cloth": cloth}) == {}  # a line
+    half = BoxSelection(box=((-1.0, -1.0, -1.0), (0.0, 1.0, 1.0)))
+    facets = select_facets(half, {"cloth": cloth})["cloth"]
+    assert len(facets) == 2
+    assert cloth.points[facets][..., 0].max() <= 0.0
 
 
 @pytest.mark.parametrize(
