@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -14,7 +15,7 @@ from femdeform.errors import Fault, InputError, MissingDependencyError
 from femdeform.fem.assembly import SparseHessian
 from femdeform.registry import preset_names
 from femdeform.types import FloatArray
-from solvers.linear import coo
+from solvers.linear import blas, coo
 from solvers.linear.interface import LinearResult
 
 _numbers = itertools.count()
@@ -158,10 +159,12 @@ class KSP:
                 self._free()
                 self._set_up(K)
                 self._pattern = K.pattern
-            coo.set_values(self._matrix, K.values)
-            self._b.setArray(b[: partition.n_owned].ravel())
-            self._x.set(0.0)
-            self._solver.solve(self._b, self._x)
+            is_direct = self._options.get("ksp_type") == "preonly"
+            with nullcontext() if is_direct else blas.one_thread():
+                coo.set_values(self._matrix, K.values)
+                self._b.setArray(b[: partition.n_owned].ravel())
+                self._x.set(0.0)
+                self._solver.solve(self._b, self._x)
         except self._PETSc.Error as error:
             if error.ierr == _OUT_OF_MEMORY:
                 raise MemoryError("PETSc") from None
