@@ -224,13 +224,14 @@ class IncrementalPotential:
 
     def internal_forces(self, x: FloatArray, elastic: bool = True) -> FloatArray:
         """Gradient of the elastic energy and of pressure and contact [N], (n_local, dim), no inertia, no dead load."""
-        for k, term in enumerate(self._terms):
-            if elastic or k >= len(self.elastic):
-                term.gradient(x, self._slots, self._first_row[k])
-            else:
-                self._slots[self._first_row[k] : self._first_row[k + 1]] = 0.0
-        out = np.empty((self.discretization.n_nodes, self.dim))
-        self._sum(self._slots, out)
+        out = np.zeros((self.discretization.n_nodes, self.dim))
+        if elastic or self.pressures:
+            for k, term in enumerate(self._terms):
+                if elastic or k >= len(self.elastic):
+                    term.gradient(x, self._slots, self._first_row[k])
+                else:
+                    self._slots[self._first_row[k] : self._first_row[k + 1]] = 0.0
+            self._sum(self._slots, out)
         for contact in (*self.contacts, *self.couplings):
             contact.add_gradient(x, out)
         self.partition.accumulate(out)
@@ -325,6 +326,7 @@ class IncrementalPotential:
             self._blocks,
             self.pattern.row_offsets,
             self.pattern.columns,
+            self.pattern.mirrors,
             self.pattern.offsets,
             self.pattern.entries,
             self._diagonal,
