@@ -10,12 +10,14 @@ import pytest
 from scenario import block, body, build, material, quasistatic, random_state, scene, step, write
 
 from femdeform.errors import InputError
+from femdeform.fem.mixed_cells import MixedCells
 from femdeform.run.checkpoint import read_checkpoint
 from femdeform.run.result import Result
 from femdeform.run.runner import run_scene
 from femdeform.run.setup import Simulation
 from femdeform.run.table import read_table
 from femdeform.step_problem import Budget
+from solvers.linear.constant_cg import ConstantCG
 from solvers.linear.kkt import SaddleSolver
 from solvers.linear.kkt_system import SaddleSystem
 from solvers.mixed.converged import MixedRule
@@ -113,6 +115,8 @@ def first_directions(method: str | None, matrix: str, static: bool, linear_solve
     problem.begin_step(state, 0.01)
     solver: Any = simulation.solver
     solver._set_up(problem)
+    if solver._constant is not None:
+        solver._constant.begin(problem)
     rule: MixedRule = solver._rule
     X = simulation.discretization.points
     # The cloth is under tension, or statics would have a free motion out of its plane.
@@ -148,10 +152,80 @@ def test_condensed_and_saddle_steps_agree(method: str, linear_solver: Any, matri
     assert 0.0 <= rows["kkt_constraint_residual"] <= 1e-11
 
 
+@pytest.mark.parametrize("matrix", ["definite", "spread"])
+@pytest.mark.parametrize("static", [False, True], ids=["dynamic", "static"])
+def test_the_constant_preconditioner_gives_the_condensed_step(static: bool, matrix: str) -> None:
+    """Solids and membranes in one system, contact in K and not in the preconditioner."""
+    expected, _ = first_directions(None, matrix, static, {"method": "scipy_direct"})
+    found, _ = first_directions("condensed_cg", matrix, static, {"method": "scipy_direct"})
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7 * np.abs(expected).max())
+
+
+def constant_solver(**more: Any) -> tuple[ConstantCG, Any]:
+    """The solver with the constant preconditioner at the start of a step of a bar, and that bar's problem."""
+    problem = build(bar(mixed(), **more)).problem
+    solver = ConstantCG([term.group for term in problem.elastic], 1e-10, 200)
+    return solver, problem
+
+
+def test_spectrum_with_the_constant_preconditioner() -> None:
+    """At rest P^-1 K has its eigenvalues in (0, (2 mu + 3 lambda) / (2 mu)]; components are pinned one by one."""
+    data = scene(
+        {"b": body(block([1.0, 0.5, 0.5], [4, 2, 2]), material("corotated", E=1e8, nu=0.45))},
+        {"kind": "fixed", "on": "b.left", "components": ["x", "y"]},
+        {"kind": "fixed", "on": "b.right", "components": ["z"]},
+    )
+    simulation = build(data)
+    problem, x = simulation.problem, simulation.state.x
+    problem.begin_step(simulation.state, 0.01)
+    (group,) = [term.group for term in problem.elastic]
+    solver = ConstantCG([group], 1e-8, 200)
+    solver.begin(problem)
+    assert len(solver._parts) == 2
+    cells = MixedCells(group, 0.1)
+    cells.twists[:] = 0.0
+    K = problem.hessian(x, project=True, elastic=lambda k, blocks, first: cells.hessian(x, False, False, blocks, first))
+    import scipy.sparse
+
+    n = x.size
+    matrix = scipy.sparse.csr_matrix((K.values, K.columns, K.row_offsets), shape=(n, n)).toarray()
+    inverse = np.stack([solver._precondition(e.reshape(x.shape), K.partition).ravel() for e in np.eye(n)], axis=1)
+    np.testing.assert_allclose(inverse, inverse.T, atol=1e-12 * np.abs(inverse).max())
+    free = problem.free.ravel()
+    values = np.linalg.eigvals(inverse[np.ix_(free, free)] @ matrix[np.ix_(free, free)]).real
+    mu, lmbda = group.law.mu, group.law.lmbda
+    assert values.min() > 0.0
+    assert values.max() < (2.0 * mu + 3.0 * lmbda) / (2.0 * mu)
+    assert values.max() > 0.3 * (2.0 * mu + 3.0 * lmbda) / (2.0 * mu)
+    solver.destroy()
+
+
+def test_the_constant_preconditioner_follows_the_time_step_and_reports_failure() -> None:
+    solver, problem = constant_solver()
+    solver.begin(problem)
+    first = solver._parts[0][1]
+    solver.begin(problem)
+    assert solver._parts[0][1] is first
+    problem.dt = 0.01
+    solver.begin(problem)
+    assert solver._parts[0][1] is not first
+    K = problem.hessian(problem.discretization.points, project=True)
+    b = np.where(problem.free, 1.0, 0.0)
+    solver.max_iterations = 1
+    early = solver.solve(K, b)
+    assert not early.converged
+    assert early.iterations == 1
+    K.values[:] *= -1.0
+    negative = solver.solve(K, b)
+    assert not negative.converged
+    assert "definite" in negative.reason
+    solver.destroy()
+
+
 @pytest.mark.parametrize("linear_solver", [{"method": "scipy_direct"}, pytest.param(PETSC, marks=pytest.mark.petsc)])
 @pytest.mark.parametrize("tikhonov", [None, TIKHONOV])
 def test_all_global_solves_of_the_alternating_scheme_agree(linear_solver: Any, tikhonov: Any) -> None:
-    methods = ["condensed", "kkt_direct", "kkt_minres"] + (["kkt_cg"] if tikhonov else [])
+    methods = ["condensed", "condensed_cg", "kkt_direct", "kkt_minres"] + (["kkt_cg"] if tikhonov else [])
     answers = {}
     for method in methods:
         solver = alternating(global_solve=method, tikhonov=tikhonov, kkt_tolerance=1e-10)
@@ -159,7 +233,7 @@ def test_all_global_solves_of_the_alternating_scheme_agree(linear_solver: Any, t
         simulation, result, rows = one_step(data)
         assert result.accepted, result.reason
         assert len(rows) == 5
-        if method != "condensed":
+        if method.startswith("kkt"):
             for row in rows:
                 assert 0.0 <= row["kkt_momentum_residual"] <= 1e-10
                 assert 0.0 <= row["kkt_constraint_residual"] <= 1e-10
