@@ -13,6 +13,7 @@ from solvers.descent import Descent
 from solvers.linear.constant_cg import ConstantCG
 from solvers.linear.interface import LinearSolver
 from solvers.linear.kkt import SaddleSolver
+from solvers.linear.ksp import KSP
 from solvers.mixed.alternating import Alternating
 from solvers.mixed.converged import MixedRule
 
@@ -95,9 +96,13 @@ class MixedVariational:
             groups = [term.group for term in problem.elastic]
             linear_solver = self._constant = ConstantCG(groups, options.kkt_tolerance, options.kkt_max_iterations)
         elif options.global_solve != "condensed":
-            use_petsc = self.linear_solver.name != "scipy_direct"
+            given = self.linear_solver.saddle_options if isinstance(self.linear_solver, KSP) else {}
             self._saddle = SaddleSolver(
-                options.global_solve, options.kkt_tolerance, options.kkt_max_iterations, use_petsc
+                options.global_solve,
+                options.kkt_tolerance,
+                options.kkt_max_iterations,
+                isinstance(self.linear_solver, KSP),
+                given,
             )
         if options.scheme == "alternating":
             self._alternating = Alternating(options, linear_solver, self._saddle, problem)

@@ -21,14 +21,8 @@ class _Nodes:
     """One unknown a node, numbered as the partition numbers its nodes."""
 
     partition: Partition
-
-    @property
-    def n_owned(self) -> int:
-        return self.partition.n_owned
-
-    @property
-    def n_global(self) -> int:
-        return self.partition.n_global
+    n_owned: int
+    n_global: int
 
 
 class ConstantCG:
@@ -76,7 +70,8 @@ class ConstantCG:
             return
         self.destroy()
         self._key = key
-        nodes = _Nodes(problem.partition)
+        partition: Partition = problem.partition
+        nodes = _Nodes(partition, partition.n_owned, partition.n_global)
         rows, columns, values = self._scalar_entries(problem)
         masks, which = np.unique(problem.free, axis=1, return_inverse=True)
         for k in range(masks.shape[1]):
@@ -85,8 +80,8 @@ class ConstantCG:
             kept[-free.size :] = np.where(free, kept[-free.size :], 1.0)
             # What other ranks add to the diagonal of a ghost is theirs.
             kept[-free.size :][nodes.n_owned :] = 0.0
-            index = problem.partition.global_index
-            matrix = make_matrix(problem.partition.comm is not None, nodes, index[rows], index[columns])
+            index = partition.global_index
+            matrix = make_matrix(partition.comm is not None, nodes, index[rows], index[columns])
             matrix.set_values(kept)
             self._failure = self._failure or matrix.factorise()
             self._parts.append((np.flatnonzero(which.ravel() == k), matrix))

@@ -10,8 +10,9 @@ the constraint row stay wrong by its own size (docs/methods/mixed-fem.md).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,6 +65,8 @@ class SaddleSolver:
     max_iterations : int
     use_petsc : bool
         Assemble and factorise with PETSc; otherwise SciPy, serial.
+    options : mapping, optional
+        PETSc options of the factorisation; default: those of the preset kkt-direct.
 
     References
     ----------
@@ -78,11 +81,19 @@ class SaddleSolver:
     its preconditioner to be those of the system: it is factorised again when they change.
     """
 
-    def __init__(self, method: str, tolerance: float, max_iterations: int, use_petsc: bool) -> None:
+    def __init__(
+        self,
+        method: str,
+        tolerance: float,
+        max_iterations: int,
+        use_petsc: bool,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
         self.method = method
         self.tolerance = tolerance
         self.max_iterations = max_iterations
         self._use_petsc = use_petsc
+        self._options = options
         self._layout: Layout | None = None
         self._columns: np.ndarray | None = None  # the sparsity that the matrices were made for
         self._matrix: SaddleMatrix | None = None
@@ -102,9 +113,9 @@ class SaddleSolver:
             self._columns = system.A.columns
             self._layout = Layout(system)
             rows, columns = self._layout.coordinates(system)
-            self._matrix = make_matrix(self._use_petsc, self._layout, rows, columns)
+            self._matrix = make_matrix(self._use_petsc, self._layout, rows, columns, self._options)
             if self.method == "kkt_cg":
-                self._constant = make_matrix(self._use_petsc, self._layout, rows, columns)
+                self._constant = make_matrix(self._use_petsc, self._layout, rows, columns, self._options)
         layout, matrix = self._layout, self._matrix
         assert matrix is not None
         free = system.A.free
