@@ -11,6 +11,7 @@ from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.step_problem import Budget, IterationObserver, StepResult
 from solvers.descent import Descent
 from solvers.linear.constant_cg import ConstantCG
+from solvers.linear.constant_matrix import ConstantMatrix
 from solvers.linear.interface import LinearSolver
 from solvers.linear.kkt import SaddleSolver
 from solvers.linear.ksp import KSP
@@ -57,7 +58,7 @@ class MixedVariational:
         self.linear_solver = linear_solver
         self._problem: Any = None
         self._saddle: SaddleSolver | None = None
-        self._constant: ConstantCG | None = None
+        self._constant: ConstantMatrix | None = None
         self._rule: MixedRule | None = None
         self._alternating: Alternating | None = None
 
@@ -91,18 +92,18 @@ class MixedVariational:
             if not supports_codimension(term.group.law):
                 law = type(term.group.law).__name__
                 raise InputError(f"mixed_fem needs laws of the principal stretches, which {law} is not")
-        linear_solver = self.linear_solver
+        linear_solver: LinearSolver = self.linear_solver
+        tolerance, max_iterations = options.kkt_tolerance, options.kkt_max_iterations
+        if options.global_solve in ("condensed_cg", "kkt_minres"):
+            self._constant = ConstantMatrix([term.group for term in problem.elastic])
         if options.global_solve == "condensed_cg":
-            groups = [term.group for term in problem.elastic]
-            linear_solver = self._constant = ConstantCG(groups, options.kkt_tolerance, options.kkt_max_iterations)
+            assert self._constant is not None
+            linear_solver = ConstantCG(self._constant, tolerance, max_iterations)
         elif options.global_solve != "condensed":
+            use_petsc = isinstance(self.linear_solver, KSP)
             given = self.linear_solver.saddle_options if isinstance(self.linear_solver, KSP) else {}
             self._saddle = SaddleSolver(
-                options.global_solve,
-                options.kkt_tolerance,
-                options.kkt_max_iterations,
-                isinstance(self.linear_solver, KSP),
-                given,
+                options.global_solve, tolerance, max_iterations, use_petsc, self._constant, given
             )
         if options.scheme == "alternating":
             self._alternating = Alternating(options, linear_solver, self._saddle, problem)

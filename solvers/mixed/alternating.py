@@ -105,7 +105,7 @@ class Alternating:
             if x is outer:
                 assert spent is not None
                 return result(spent)
-            length, x = self._line_search(problem, outer, x)
+            length, x = self._line_search(problem, outer, x, problem.initial_guess(state))
             if length == 0.0:
                 return result("the line search failed")
             self._known = [start, (x.copy(), [group.S.copy() for group in self.groups])]
@@ -159,7 +159,6 @@ class Alternating:
             [group.group.cells for group in self.groups],
             [B for B, _, _ in parts],
             [C for _, C, _ in parts],
-            not problem.quasistatic,
         )
         constant = None
         if self.saddle.method == "kkt_cg":
@@ -188,15 +187,22 @@ class Alternating:
 
     # ------------------------------------------------------------------------------------------- line search
 
-    def _line_search(self, problem: Any, begin: FloatArray, end: FloatArray) -> tuple[float, FloatArray]:
+    def _line_search(
+        self, problem: Any, begin: FloatArray, end: FloatArray, last: FloatArray
+    ) -> tuple[float, FloatArray]:
         """Length and positions on the way from `begin` to `end` at which Phi is lower; the stretches go along.
 
-        The paper names no merit; Phi with the stretch eliminated is one (methods.md 2.8).
+        The paper names no merit; Phi with the stretch eliminated is one (methods.md 2.8). Where free flight has turned
+        a cell inside out whose law is not defined there, the way starts from the positions of the `last` state.
         """
         search = self.options.line_search
-        change = end - begin
         problem.linearize_at(begin)
-        value, magnitude = problem.value(begin), problem.value_magnitude
+        value = problem.value(begin)
+        if not math.isfinite(value):
+            begin = last
+            problem.linearize_at(begin)
+            value = problem.value(begin)
+        magnitude, change = problem.value_magnitude, end - begin
         slope = problem.partition.dot(problem.gradient(begin), change)
         if not math.isfinite(slope):
             slope = 0.0
