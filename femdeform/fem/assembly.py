@@ -74,6 +74,16 @@ class SparseHessian:
         """Components per node."""
         return int(self.points.shape[1])
 
+    def times(self, field: FloatArray) -> FloatArray:
+        """Product with a (n_local, dim) field that is consistent on ghosts; so is the result."""
+        import scipy.sparse
+
+        n = field.size
+        matrix = scipy.sparse.csr_matrix((self.values, self.columns, self.row_offsets), shape=(n, n))
+        product = np.ascontiguousarray((matrix @ field.ravel()).reshape(field.shape))
+        self.partition.accumulate(product)
+        return product
+
 
 class BlockPattern:
     """Sparsity of the Hessian over nodes and the list of cell blocks that add to each of its blocks.

@@ -41,14 +41,10 @@ class ConstantCG:
 
     def solve(self, K: SparseHessian, b: FloatArray) -> LinearResult:
         """Solve K x = b; see `LinearSolver`."""
-        import scipy.sparse
-
         partition = K.partition
         x = np.zeros_like(b)
         if self.constant.failure:
             return LinearResult(x, 0, False, f"the constant matrix: {self.constant.failure}")
-        size = b.size
-        matrix = scipy.sparse.csr_matrix((K.values, K.columns, K.row_offsets), shape=(size, size))
         r = b.copy()
         target, norm = self.tolerance * partition.norm(b), partition.norm(b)
         iteration, p, rz = 0, np.zeros_like(b), 1.0
@@ -58,8 +54,7 @@ class ConstantCG:
             partition.update_ghosts(z)
             rz, previous = partition.dot(r, z), rz
             p = z if iteration == 0 else z + (rz / previous) * p
-            Kp = np.ascontiguousarray((matrix @ p.ravel()).reshape(p.shape))
-            partition.accumulate(Kp)
+            Kp = K.times(p)
             curvature = partition.dot(p, Kp)
             if not curvature > 0.0:
                 return LinearResult(x, iteration, False, "the matrix is not positive definite, or not finite")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from femdeform.fem.assembly import SparseHessian
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.step_problem import Budget, IterationObserver, StepResult
 from femdeform.types import FloatArray
@@ -46,6 +47,7 @@ class Alternating:
         # Stretches that belong to accepted positions: those of the step before, and of its start in case it is retried.
         self._known: list[tuple[FloatArray, list[FloatArray]]] = []
         self._rows = (math.nan, math.nan)
+        self._condensed_system: tuple[SparseHessian, FloatArray, FloatArray, FloatArray] | None = None
         self._is_scaled = False
 
     def reset(self) -> None:
@@ -136,7 +138,20 @@ class Alternating:
         }
         if self.saddle is not None:
             row |= {"kkt_momentum_residual": self._rows[0], "kkt_constraint_residual": self._rows[1]}
+        else:
+            row["kkt_momentum_residual"] = self._momentum_residual(problem)
         return row
+
+    def _momentum_residual(self, problem: Any) -> float:
+        """Residual of the first block row after a condensed solve, over the sizes of its terms; the second is exact."""
+        assert self._condensed_system is not None
+        K, b, forces, change = self._condensed_system
+        residual = K.times(change) - b
+        inertia = np.zeros_like(change)
+        if not problem.quasistatic:
+            inertia = np.where(problem.free, problem.apply_mass(change) / problem.dt**2, 0.0)
+        norm = problem.partition.norm
+        return ratio(norm(residual), norm(inertia) + norm(forces) + norm(residual + forces - inertia))
 
     # ------------------------------------------------------------------------------------------- global solve
 
@@ -177,8 +192,10 @@ class Alternating:
             self.groups[k].condensed(blocks, first, slots, first_slot)
 
         K = problem.hessian(x, project=True, elastic=write)
+        forces = b
         b = b + np.where(problem.free, problem.sum_elastic_slots(), 0.0)
         answer = self.linear_solver.solve(K, b)
+        self._condensed_system = (K, b, forces, answer.x)
         if not answer.converged:
             return answer.x, answer.iterations, f"the linear solver failed: {answer.reason}"
         for group in self.groups:
