@@ -171,7 +171,8 @@ class Partition:
 
     def dot(self, a: FloatArray, b: FloatArray) -> float:
         """Inner product of two node fields (n_local, ...), each node counted once."""
-        return self.sum(float(np.vdot(a[: self.n_owned], b[: self.n_owned])))
+        # Not BLAS: it would start threads of its own, which wait busily and take the cores from the kernels.
+        return self.sum(float(np.einsum("i,i->", a[: self.n_owned].ravel(), b[: self.n_owned].ravel())))
 
     def norm(self, a: FloatArray) -> float:
         """Euclidean norm of a node field, each node counted once."""

@@ -85,3 +85,8 @@ def preset_names() -> tuple[str, ...]:
         return ()
     names = [item.name for item in folder.iterdir()]
     return tuple(sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml")))
+
+
+def saddle_preset(name: str) -> str:
+    """``solver.global_solve`` that a preset stands for, ``kkt_minres`` for ``kkt-minres``; empty for any other."""
+    return name.replace("-", "_") if name.startswith("kkt-") and name in preset_names() else ""

@@ -27,6 +27,8 @@ _SETTLED = 0.95
 # rounding (a body at rest) below this multiple of the estimate.
 _NEGLIGIBLE = 1e-6
 _IDLE = 100.0
+# A change of the positions by this multiple of their size comes from a singular matrix.
+_ABSURD = 1e10
 
 # Matrices a rule may be asked for. `definite` descends by construction; `exact` is the Hessian of Phi as it is;
 # `spread` is the definite Hessian of projected Newton, which carries the motion of supports into the body.
@@ -199,6 +201,9 @@ class Descent:
             usable, reason = False, "the solution of the linear system is not finite"
         elif slope >= 0.0:
             usable, reason = False, "the search direction does not descend"
+        elif problem.partition.norm(answer.x) > _ABSURD * problem.partition.norm(current.x):
+            # Whether a singular matrix shows by its sign or by its size is a matter of rounding.
+            usable, reason = False, "the solution of the linear system is beyond all measure"
         if matrix != "exact" and not usable:
             # A clamped Hessian cannot be indefinite: what spoils it is a motion that costs nothing.
             reason += "; the system may be singular: is every body held, or has it inertia?"

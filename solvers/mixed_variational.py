@@ -10,8 +10,11 @@ from femdeform.materials import supports_codimension
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.step_problem import Budget, IterationObserver, StepResult
 from solvers.descent import Descent
+from solvers.linear.constant_cg import ConstantCG
+from solvers.linear.constant_matrix import ConstantMatrix
 from solvers.linear.interface import LinearSolver
 from solvers.linear.kkt import SaddleSolver
+from solvers.linear.ksp import KSP
 from solvers.mixed.alternating import Alternating
 from solvers.mixed.converged import MixedRule
 
@@ -31,7 +34,7 @@ class MixedVariational:
     options : MixedFEMSolver
         The scene's block.
     linear_solver : LinearSolver
-        Solves the condensed systems; with `global_solve` of the kkt kind it only tells whether PETSc is there.
+        Solves the condensed systems; with any other `global_solve` it only tells whether PETSc is there.
 
     References
     ----------
@@ -55,6 +58,7 @@ class MixedVariational:
         self.linear_solver = linear_solver
         self._problem: Any = None
         self._saddle: SaddleSolver | None = None
+        self._constant: ConstantMatrix | None = None
         self._rule: MixedRule | None = None
         self._alternating: Alternating | None = None
 
@@ -70,6 +74,8 @@ class MixedVariational:
         """
         if self._problem is not problem:
             self._set_up(problem)
+        if self._constant is not None:
+            self._constant.begin(problem)
         if self._alternating is not None:
             return self._alternating.step(problem, state, observe, budget)
         assert self._rule is not None
@@ -86,27 +92,37 @@ class MixedVariational:
             if not supports_codimension(term.group.law):
                 law = type(term.group.law).__name__
                 raise InputError(f"mixed_fem needs laws of the principal stretches, which {law} is not")
-        if options.global_solve != "condensed":
-            use_petsc = self.linear_solver.name != "scipy_direct"
+        linear_solver: LinearSolver = self.linear_solver
+        tolerance, max_iterations = options.kkt_tolerance, options.kkt_max_iterations
+        if options.global_solve in ("condensed_cg", "kkt_minres"):
+            self._constant = ConstantMatrix([term.group for term in problem.elastic])
+        if options.global_solve == "condensed_cg":
+            assert self._constant is not None
+            linear_solver = ConstantCG(self._constant, tolerance, max_iterations)
+        elif options.global_solve != "condensed":
+            use_petsc = isinstance(self.linear_solver, KSP)
+            given = self.linear_solver.saddle_options if isinstance(self.linear_solver, KSP) else {}
             self._saddle = SaddleSolver(
-                options.global_solve, options.kkt_tolerance, options.kkt_max_iterations, use_petsc
+                options.global_solve, tolerance, max_iterations, use_petsc, self._constant, given
             )
         if options.scheme == "alternating":
-            self._alternating = Alternating(options, self.linear_solver, self._saddle, problem)
+            self._alternating = Alternating(options, linear_solver, self._saddle, problem)
         else:
             cells = [MixedCells(term.group, options.floor) for term in problem.elastic]
-            self._rule = MixedRule(options, self.linear_solver, self._saddle, cells)
+            self._rule = MixedRule(options, linear_solver, self._saddle, cells)
         self._problem = problem
 
     def reset(self) -> None:
         """Forget stretches and factors, so that a run resumed from here repeats an unbroken one."""
         if self._alternating is not None:
             self._alternating.reset()
-        if self._saddle is not None:
-            self._saddle.reset()
+        for solver in (self._saddle, self._constant):
+            if solver is not None:
+                solver.reset()
 
     def destroy(self) -> None:
-        """Free the saddle solver."""
-        if self._saddle is not None:
-            self._saddle.destroy()
-        self._saddle = self._rule = self._alternating = self._problem = None
+        """Free the solvers made here."""
+        for solver in (self._saddle, self._constant):
+            if solver is not None:
+                solver.destroy()
+        self._saddle = self._constant = self._rule = self._alternating = self._problem = None

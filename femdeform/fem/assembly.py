@@ -74,6 +74,16 @@ class SparseHessian:
         """Components per node."""
         return int(self.points.shape[1])
 
+    def times(self, field: FloatArray) -> FloatArray:
+        """Product with a (n_local, dim) field that is consistent on ghosts; so is the result."""
+        import scipy.sparse
+
+        n = field.size
+        matrix = scipy.sparse.csr_matrix((self.values, self.columns, self.row_offsets), shape=(n, n))
+        product = np.ascontiguousarray((matrix @ field.ravel()).reshape(field.shape))
+        self.partition.accumulate(product)
+        return product
+
 
 class BlockPattern:
     """Sparsity of the Hessian over nodes and the list of cell blocks that add to each of its blocks.
@@ -94,6 +104,8 @@ class BlockPattern:
         one more for each pair, after those of the cells.
     pairs : (n_pairs,) int64
         Pairs of nodes of an extended pattern, as ``row n_nodes + column``, sorted.
+    mirrors : (n_blocks,) int
+        For each block (i, j) the number of block (j, i).
     """
 
     def __init__(self, cells: Sequence[np.ndarray], n_nodes: int, dim: int) -> None:
@@ -178,6 +190,9 @@ class BlockPattern:
     def _expand(self) -> None:
         """CSR structure over degrees of freedom: node by node, component by component."""
         d = self.dim
+        n = self.n_nodes
+        mirrors = np.searchsorted(self.rows * n + self.columns, self.columns.astype(np.int64) * n + self.rows)
+        self.mirrors = mirrors.astype(self.offsets.dtype)
         per_node = np.diff(self.row_offsets).astype(np.int64)
         self.dof_row_offsets = np.concatenate([[0], np.cumsum(np.repeat(per_node * d, d))]).astype(np.int32)
         expanded = (d * self.columns[:, None] + np.arange(d, dtype=np.int32)).ravel()  # one dof row per node

@@ -245,13 +245,15 @@ class IncrementalPotential:
         `elastic` = False leaves the elastic forces out, `links` = False those of links. (n_local, dim).
         """
         first_link = len(self._terms) - len(self._link_terms)
-        for k, term in enumerate(self._terms):
-            if (elastic or k >= len(self.elastic)) and (links or k < first_link):
-                term.gradient(x, self._slots, self._first_row[k])
-            else:
-                self._slots[self._first_row[k] : self._first_row[k + 1]] = 0.0
-        out = np.empty((self.discretization.n_nodes, self.dim))
-        self._sum(self._slots, out)
+        counts = [(elastic or k >= len(self.elastic)) and (links or k < first_link) for k in range(len(self._terms))]
+        out = np.zeros((self.discretization.n_nodes, self.dim))
+        if any(counts):
+            for k, term in enumerate(self._terms):
+                if counts[k]:
+                    term.gradient(x, self._slots, self._first_row[k])
+                else:
+                    self._slots[self._first_row[k] : self._first_row[k + 1]] = 0.0
+            self._sum(self._slots, out)
         for contact in (*self.contacts, *self.couplings):
             contact.add_gradient(x, out)
         self.partition.accumulate(out)
@@ -346,6 +348,7 @@ class IncrementalPotential:
             self._blocks,
             self.pattern.row_offsets,
             self.pattern.columns,
+            self.pattern.mirrors,
             self.pattern.offsets,
             self.pattern.entries,
             self._diagonal,

@@ -178,11 +178,55 @@ def sum_slots(slots: Any, offsets: Any, entries: Any, out: Any) -> None:
             out[i, c] = s
 
 
+def _gather(blocks: Any, entries: Any, first: Any, last: Any, dim: Any) -> Any:
+    """Sum of the blocks that a range of `entries` names, transposed where it says so, as a tuple."""
+    raise NotImplementedError("compiled code only")
+
+
+@overload(_gather)
+def _gather_compiled(blocks: Any, entries: Any, first: Any, last: Any, dim: Any) -> Any:
+    def planar(blocks: Any, entries: Any, first: Any, last: Any, dim: Any) -> Any:
+        a = b = c = d = 0.0
+        for t in range(first, last):
+            slot, turned = entries[t] >> 1, entries[t] & 1
+            a += blocks[slot, 0]
+            b += blocks[slot, 2] if turned else blocks[slot, 1]
+            c += blocks[slot, 1] if turned else blocks[slot, 2]
+            d += blocks[slot, 3]
+        return (a, b, c, d)
+
+    def spatial(blocks: Any, entries: Any, first: Any, last: Any, dim: Any) -> Any:
+        a = b = c = d = e = f = g = h = i = 0.0
+        for t in range(first, last):
+            slot = entries[t] >> 1
+            a += blocks[slot, 0]
+            e += blocks[slot, 4]
+            i += blocks[slot, 8]
+            if entries[t] & 1:
+                b += blocks[slot, 3]
+                c += blocks[slot, 6]
+                d += blocks[slot, 1]
+                f += blocks[slot, 7]
+                g += blocks[slot, 2]
+                h += blocks[slot, 5]
+            else:
+                b += blocks[slot, 1]
+                c += blocks[slot, 2]
+                d += blocks[slot, 3]
+                f += blocks[slot, 5]
+                g += blocks[slot, 6]
+                h += blocks[slot, 7]
+        return (a, b, c, d, e, f, g, h, i)
+
+    return planar if len(dim) == 2 else spatial
+
+
 @njit(parallel=True)
 def sum_blocks(
     blocks: Any,
     row_offsets: Any,
     columns: Any,
+    mirrors: Any,
     offsets: Any,
     entries: Any,
     diagonal: Any,
@@ -194,6 +238,8 @@ def sum_blocks(
 ) -> None:
     """Sum Hessian blocks into the values of a CSR matrix over degrees of freedom.
 
+    Each pair of nodes is summed once, by one of its two rows, and written to both places.
+
     Parameters
     ----------
     blocks : (n_slots, d*d)
@@ -202,10 +248,12 @@ def sum_blocks(
         Row offsets of the CSR pattern over nodes.
     columns : (n_blocks,)
         Its columns.
+    mirrors : (n_blocks,)
+        For block (i, j) the number of block (j, i).
     offsets, entries
         For each block of the pattern the slots that add to it, as 2 * slot, plus 1 where the transpose is meant.
     diagonal : (n_nodes, d*d)
-        Blocks that belong to one node, added at owned nodes.
+        Symmetric blocks that belong to one node, added at owned nodes.
     scalars : (n_blocks,) or (0,)
         Multiples of the identity to add to each block (consistent mass), or empty.
     free : (n_nodes, d) uint8
@@ -222,35 +270,27 @@ def sum_blocks(
         n_row = row_offsets[i + 1] - row_offsets[i]
         for k in range(row_offsets[i], row_offsets[i + 1]):
             j = columns[k]
-            base = d * d * row_offsets[i] + d * (k - row_offsets[i])
+            # Whichever row a pair falls to, both threads get as many.
+            if i != j and (j > i) == (((i + j) & 1) == 1):
+                continue
+            B = _gather(blocks, entries, offsets[k], offsets[k + 1], dim)
+            n_column = row_offsets[j + 1] - row_offsets[j]
+            place = d * d * row_offsets[i] + d * (k - row_offsets[i])
+            mirror = d * d * row_offsets[j] + d * (mirrors[k] - row_offsets[j])
             for c in range(d):
                 for m in range(d):
-                    values[base + c * d * n_row + m] = 0.0
-            for t in range(offsets[k], offsets[k + 1]):
-                slot = entries[t] >> 1
-                if entries[t] & 1:
-                    for c in range(d):
-                        for m in range(d):
-                            values[base + c * d * n_row + m] += blocks[slot, d * m + c]
-                else:
-                    for c in range(d):
-                        for m in range(d):
-                            values[base + c * d * n_row + m] += blocks[slot, d * c + m]
-            if scalars.shape[0] > 0:
-                for c in range(d):
-                    values[base + c * d * n_row + c] += scalars[k]
-            if i == j and i < n_owned:
-                for c in range(d):
-                    for m in range(d):
-                        values[base + c * d * n_row + m] += diagonal[i, d * c + m]
-            for c in range(d):
-                for m in range(d):
+                    value = B[d * c + m]
+                    if c == m and scalars.shape[0] > 0:
+                        value += scalars[k]
+                    if i == j and i < n_owned:
+                        value += diagonal[i, d * c + m]
                     if free[i, c] == 0 or free[j, m] == 0:
-                        place = base + c * d * n_row + m
                         if i == j and c == m and i < n_owned:
-                            # The diagonal keeps its own size, so that scaling and preconditioners see nothing odd;
-                            # but across rods and membranes it may be zero, and exact Hessians may make it negative.
-                            own = abs(values[place])
-                            values[place] = own if own > 0.0 else 1.0
+                            # The diagonal keeps its own size, so that scaling and preconditioners see nothing odd; but
+                            # across rods and membranes it may be zero, and exact Hessians may make it negative.
+                            own = abs(value)
+                            value = own if own > 0.0 else 1.0
                         else:
-                            values[place] = 0.0
+                            value = 0.0
+                    values[place + c * d * n_row + m] = value
+                    values[mirror + m * d * n_column + c] = value

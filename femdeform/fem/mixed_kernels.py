@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 from numba.extending import overload
 
-from femdeform.fem.kernels import CHUNK, add_blocks, deformation_gradient
+from femdeform.fem.kernels import CHUNK, deformation_gradient
+from femdeform.fem.mode_blocks import add_mode_blocks, complete_blocks
 from femdeform.jit import njit, prange
 from femdeform.materials.dispatch import stretch_derivatives
-from femdeform.materials.isotropic import assemble_modes_2d, assemble_modes_3d, clamp, guarded_sum
+from femdeform.materials.isotropic import clamp, guarded_sum
 from femdeform.materials.small_matrix import (
     clamp_symmetric_2d,
     clamp_symmetric_3d,
@@ -158,14 +159,14 @@ def _write_stress(F: Any, change: Any, law: Any, floor: Any, out: Any) -> Any:
     return planar if len(F) == 4 else spatial
 
 
-def write_tangent(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: Any, H: Any) -> None:
-    """Write a tangent at F into H; see `cell_hessians`."""
+def tangent_modes(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: Any) -> Any:
+    """Frames U, V, scaling block, twist and flip of the tangent at F; see `cell_hessians`."""
     raise NotImplementedError("compiled code only")
 
 
-@overload(write_tangent)
-def _write_tangent(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: Any, H: Any) -> Any:
-    def planar(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: Any, H: Any) -> None:
+@overload(tangent_modes)
+def _tangent_modes(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: Any) -> Any:
+    def planar(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: Any) -> Any:
         U, s, V = signed_svd_2d(F)
         _, A, _, f = stretch_derivatives(s, law)
         bound = floor * law.mu
@@ -175,9 +176,9 @@ def _write_tangent(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: 
             A, t, flip = B, clamp(t), g
         if split:
             A, flip = (A[0] - B[0], A[1] - B[1], A[2] - B[2]), flip - g
-        assemble_modes_2d(U, V, A, t, flip, H)
+        return U, V, A, t, flip
 
-    def spatial(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: Any, H: Any) -> None:
+    def spatial(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: Any) -> Any:
         U, s, V = signed_svd_3d(F)
         _, A, _, f = stretch_derivatives(s, law)
         bound = floor * law.mu
@@ -189,7 +190,7 @@ def _write_tangent(F: Any, law: Any, twist: Any, floor: Any, exact: Any, split: 
         if split:
             A = (A[0] - B[0], A[1] - B[1], A[2] - B[2], A[3] - B[3], A[4] - B[4], A[5] - B[5])
             f = (f[0] - g[0], f[1] - g[1], f[2] - g[2])
-        assemble_modes_3d(U, V, A, t, f, H)
+        return U, V, A, t, f
 
     return planar if len(F) == 4 else spatial
 
@@ -365,8 +366,9 @@ def cell_hessians(
                     out[row, i] = 0.0
             for q in range(weights.shape[1]):
                 F = deformation_gradient(x, cells, gradients, e, q, dim, nodes)
-                write_tangent(F, law, twists[e, q], floor, exact, split, H)
-                add_blocks(H, weights[e, q], gradients, e, q, dim, nodes, M, out, slot)
+                U, V, A, twist, flip = tangent_modes(F, law, twists[e, q], floor, exact, split)
+                add_mode_blocks(U, V, A, twist, flip, weights[e, q], gradients, e, q, dim, nodes, H, M, out, slot)
+            complete_blocks(dim, nodes, out, slot)
 
 
 @njit(parallel=True)

@@ -206,6 +206,13 @@ def _solver_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
         if chosen.preset not in known:
             message = f"there is no preset `{chosen.preset}`; {did_you_mean(chosen.preset, known)}"
             yield Finding(("linear_solver", "preset"), message)
+        word = registry.saddle_preset(chosen.preset)
+        if word and not (isinstance(scene.solver, MixedFEMSolver) and scene.solver.global_solve == word):
+            message = f"{chosen.preset} is for the saddle systems of solver mixed_fem with global_solve {word}"
+            yield Finding(("linear_solver", "preset"), message)
+        elif word == "kkt_minres" and chosen.options:
+            message = "kkt-minres takes no options of PETSc; see solver.kkt_tolerance and solver.kkt_max_iterations"
+            yield Finding(("linear_solver", "options"), message)
 
 
 def _mixed_findings(scene: schema.DeformableScene, solver: MixedFEMSolver) -> Iterator[Finding]:

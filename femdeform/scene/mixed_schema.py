@@ -37,9 +37,11 @@ class MixedFEMSolver(SceneModel):
     max_iterations: int = Field(default=100, ge=1, description="iterations a step of the converged scheme")
     line_search: LineSearch = Field(default=LineSearch(), description="backtracking line search (Armijo)")
 
-    global_solve: Literal["condensed", "kkt_direct", "kkt_minres", "kkt_cg"] = Field(
+    global_solve: Literal["condensed", "condensed_cg", "kkt_direct", "kkt_minres", "kkt_cg"] = Field(
         default="condensed",
         description="condensed: multipliers eliminated, one definite system in the positions for `linear_solver`; "
+        "condensed_cg: the same by conjugate gradients preconditioned by the constant matrix M/h^2 + 2 mu J^T V J, "
+        "which is factorised when dt changes; "
         "kkt_direct: LDL^T of the saddle system; kkt_minres: MINRES with a definite block-diagonal preconditioner; "
         "kkt_cg: conjugate gradients with the constant factorised saddle system as preconditioner (alternating with "
         "`tikhonov` and inertia only)",
@@ -48,9 +50,10 @@ class MixedFEMSolver(SceneModel):
         default=1e-8,
         gt=0.0,
         lt=1.0,
-        description="residual of each block row of the saddle system over its own size [-]",
+        description="residual of each block row of the saddle system over its own size; condensed_cg: over the "
+        "right-hand side [-]",
     )
-    kkt_max_iterations: int = Field(default=10000, ge=1, description="iterations of kkt_minres and kkt_cg")
+    kkt_max_iterations: int = Field(default=10000, ge=1, description="iterations of condensed_cg, kkt_minres and kkt_cg")
 
     twist: Literal["rule", "never", "always"] = Field(
         default="rule",

@@ -11,10 +11,11 @@ fault is then reported at that key.
 from __future__ import annotations
 
 import itertools
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from femdeform import registry
 from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.link_schema import Link
 from femdeform.scene.mesh_schema import MeshSource
@@ -460,6 +461,19 @@ class DeformableScene(SceneModel):
         description="quantities by name: a column `measure.NAME` each in history.csv, final values in result.json",
     )
     expect: Expect = Field(default=Expect(), description="values at the end of the run that `run` compares with")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _preset_says_how(cls, data: Any) -> Any:
+        """A preset for saddle systems is `global_solve` of the mixed solver, unless the scene says it itself."""
+        if not isinstance(data, dict):
+            return data
+        solver, linear = data.get("solver"), data.get("linear_solver")
+        preset = linear.get("preset") if isinstance(linear, dict) else None
+        word = registry.saddle_preset(preset) if isinstance(preset, str) else ""
+        if word and isinstance(solver, dict) and solver.get("method") == "mixed_fem" and "global_solve" not in solver:
+            return {**data, "solver": {**solver, "global_solve": word}}
+        return data
 
 
 Scene = DeformableScene

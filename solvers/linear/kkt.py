@@ -10,14 +10,16 @@ the constraint row stay wrong by its own size (docs/methods/mixed-fem.md).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from femdeform.types import FloatArray
+from solvers.linear.constant_matrix import ConstantMatrix
 from solvers.linear.kkt_matrix import SaddleMatrix, make_matrix
-from solvers.linear.kkt_system import Layout, SaddleSystem, block_inverses
+from solvers.linear.kkt_system import Layout, SaddleSystem
 
 # Stages of iterative refinement after a direct solve, and restarts of conjugate gradients.
 _CORRECTIONS = 3
@@ -57,13 +59,18 @@ class SaddleSolver:
     ----------
     method : str
         ``kkt_direct``: LDL^T (MUMPS; LU by SuperLU without PETSc) with iterative refinement. ``kkt_minres``: MINRES
-        with diag(A_ii, C + B A_ii^-1 B^T point by point)^-1. ``kkt_cg``: conjugate gradients with the factorised
-        system of another C as preconditioner, on vectors whose first row is satisfied.
+        with diag(P, C)^-1, P the constant matrix in the place of A + B^T C^-1 B: few iterations at any stiffness.
+        ``kkt_cg``: conjugate gradients with the factorised system of another C as preconditioner, on vectors whose
+        first row is satisfied.
     tolerance : float
         Residual of each block row over the sizes of its terms [-].
     max_iterations : int
     use_petsc : bool
         Assemble and factorise with PETSc; otherwise SciPy, serial.
+    constant : ConstantMatrix, optional
+        P of ``kkt_minres``; whoever steps calls its `begin`.
+    options : mapping, optional
+        PETSc options of the factorisation; default: those of the preset kkt-direct.
 
     References
     ----------
@@ -78,11 +85,21 @@ class SaddleSolver:
     its preconditioner to be those of the system: it is factorised again when they change.
     """
 
-    def __init__(self, method: str, tolerance: float, max_iterations: int, use_petsc: bool) -> None:
+    def __init__(
+        self,
+        method: str,
+        tolerance: float,
+        max_iterations: int,
+        use_petsc: bool,
+        constant: ConstantMatrix | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
         self.method = method
         self.tolerance = tolerance
         self.max_iterations = max_iterations
         self._use_petsc = use_petsc
+        self._near = constant
+        self._options = options
         self._layout: Layout | None = None
         self._columns: np.ndarray | None = None  # the sparsity that the matrices were made for
         self._matrix: SaddleMatrix | None = None
@@ -102,9 +119,9 @@ class SaddleSolver:
             self._columns = system.A.columns
             self._layout = Layout(system)
             rows, columns = self._layout.coordinates(system)
-            self._matrix = make_matrix(self._use_petsc, self._layout, rows, columns)
+            self._matrix = make_matrix(self._use_petsc, self._layout, rows, columns, self._options)
             if self.method == "kkt_cg":
-                self._constant = make_matrix(self._use_petsc, self._layout, rows, columns)
+                self._constant = make_matrix(self._use_petsc, self._layout, rows, columns, self._options)
         layout, matrix = self._layout, self._matrix
         assert matrix is not None
         free = system.A.free
@@ -120,7 +137,7 @@ class SaddleSolver:
         if self.method == "kkt_direct":
             return self._direct(b)
         if self.method == "kkt_minres":
-            return self._minres(b, *block_inverses(system, B, layout))
+            return self._minres(b, [np.asarray(np.linalg.inv(c)) for c in system.C])
         assert C0 is not None
         return self._conjugate_gradients(system, B, C0, b)
 
@@ -170,13 +187,16 @@ class SaddleSolver:
         done = self._is_done(rows)
         return self._result(v, 1, done, "direct" if done else "the factorisation is not accurate enough", rows)
 
-    def _minres(self, b: FloatArray, nodes: FloatArray, points: list[FloatArray]) -> SaddleResult:
-        layout, matrix = self._layout, self._matrix
+    def _minres(self, b: FloatArray, points: list[FloatArray]) -> SaddleResult:
+        layout, matrix, near = self._layout, self._matrix, self._near
         assert layout is not None
         assert matrix is not None
+        assert near is not None
+        if near.failure:
+            return self._result(np.zeros_like(b), 0, False, f"the constant matrix: {near.failure}")
 
         def precondition(r: FloatArray) -> FloatArray:
-            parts = [np.einsum("ncd,nd->nc", nodes, r[: layout.n_dofs].reshape(-1, layout.dim)).ravel()]
+            parts = [near.solve(r[: layout.n_dofs].reshape(-1, layout.dim)).ravel()]
             start = layout.n_dofs
             for inverse, shape in zip(points, layout.shapes, strict=True):
                 size = int(np.prod(shape))

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
 
-from femdeform.errors import InputError
+from femdeform.errors import Fault, InputError
+from femdeform.parallel import Partition
 from femdeform.types import FloatArray, IntArray
 from solvers.linear import coo
+from solvers.linear.ksp import load_preset
 
 _numbers = itertools.count()
 
-# LDL^T with two-by-two pivots; nested dissection by PT-Scotch's sequential Scotch. With definite A and C every order of
-# pivots exists, so a low threshold for delaying them does no harm that refinement does not mend.
-_OPTIONS = {
-    "ksp_type": "preonly",
-    "pc_type": "cholesky",
-    "pc_factor_mat_solver_type": "mumps",
-    "mat_mumps_icntl_7": 3,
-    "mat_mumps_cntl_1": 1e-4,
-}
 # Room for pivoting in per cent, tried in turn; the code with which MUMPS asks for more.
 _ROOM = (60, 300, 1500)
 _NEEDS_ROOM = (-8, -9)
@@ -30,9 +24,17 @@ _NEEDS_ROOM = (-8, -9)
 class Numbering(Protocol):
     """What a matrix needs to know of the system's numbering."""
 
-    partition: Any
-    n_owned: int
-    n_global: int
+    @property
+    def partition(self) -> Partition:
+        """Ownership of the nodes."""
+
+    @property
+    def n_owned(self) -> int:
+        """Unknowns of this rank."""
+
+    @property
+    def n_global(self) -> int:
+        """Unknowns of all ranks."""
 
 
 class SaddleMatrix(Protocol):
@@ -57,20 +59,29 @@ class SaddleMatrix(Protocol):
         """Free everything."""
 
 
-def make_matrix(use_petsc: bool, numbering: Numbering, rows: IntArray, columns: IntArray) -> SaddleMatrix:
-    """Make an empty matrix with entries at global coordinates."""
-    return PETScMatrix(numbering, rows, columns) if use_petsc else SciPyMatrix(numbering, rows, columns)
+def make_matrix(
+    use_petsc: bool,
+    numbering: Numbering,
+    rows: IntArray,
+    columns: IntArray,
+    options: Mapping[str, Any] | None = None,
+) -> SaddleMatrix:
+    """Make an empty matrix with entries at global coordinates; `options` of PETSc replace those of kkt-direct."""
+    return PETScMatrix(numbering, rows, columns, options) if use_petsc else SciPyMatrix(numbering, rows, columns)
 
 
 class PETScMatrix:
     """AIJ matrix, factorised by MUMPS as a symmetric indefinite one."""
 
-    def __init__(self, numbering: Numbering, rows: IntArray, columns: IntArray) -> None:
+    def __init__(
+        self, numbering: Numbering, rows: IntArray, columns: IntArray, options: Mapping[str, Any] | None = None
+    ) -> None:
         from petsc4py import PETSc
 
         self._PETSc = PETSc
         comm = PETSc.COMM_SELF if numbering.partition.comm is None else numbering.partition.comm
         self._prefix = f"femdeform_kkt_{next(_numbers)}_"
+        self._options = dict(options) if options else load_preset("kkt-direct").options
         self._matrix = PETSc.Mat().create(comm=comm)
         self._matrix.setSizes(((numbering.n_owned, numbering.n_global),) * 2)
         self._matrix.setType(PETSc.Mat.Type.AIJ)
@@ -81,8 +92,8 @@ class PETScMatrix:
 
     def _make_solver(self) -> None:
         table = self._PETSc.Options(self._prefix)
-        for key, value in _OPTIONS.items():
-            table.setValue(key, value)
+        for key, value in self._options.items():
+            table.setValue(key, "" if value is None else value)
         self._solver = self._PETSc.KSP().create(comm=self._matrix.getComm())
         self._solver.setOptionsPrefix(self._prefix)
         self._solver.setOperators(self._matrix)
@@ -106,6 +117,7 @@ class PETScMatrix:
             for room in _ROOM:
                 self._PETSc.Options(self._prefix).setValue("mat_mumps_icntl_14", room)
                 self._solver.setUp()
+                self._check_options()
                 state = self._solver.getPC().getFactorMatrix().getMumpsInfog(1)
                 if state not in _NEEDS_ROOM:
                     break
@@ -113,6 +125,13 @@ class PETScMatrix:
         except self._PETSc.Error as error:
             return f"PETSc: {error}"
         return "" if state >= 0 else f"MUMPS ended with code {state}"
+
+    def _check_options(self) -> None:
+        unused = [key for key in self._options if not coo.option_was_used(self._prefix + key)]
+        if unused:
+            raise InputError(
+                [Fault("", 0, f"linear_solver.options.{key}", "PETSc did not use this option") for key in unused]
+            )
 
     def apply_inverse(self, b: FloatArray) -> FloatArray:
         """See `SaddleMatrix`; not finite where the factorisation failed."""
@@ -135,7 +154,7 @@ class PETScMatrix:
                 thing.destroy()
         if self._solver is not None:
             table = self._PETSc.Options(self._prefix)
-            for key in (*_OPTIONS, "mat_mumps_icntl_14"):
+            for key in (*self._options, "mat_mumps_icntl_14"):
                 table.delValue(key)
         self._solver = None
 

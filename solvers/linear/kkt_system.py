@@ -11,9 +11,6 @@ from femdeform.fem.assembly import SparseHessian
 from femdeform.parallel import Partition
 from femdeform.types import FloatArray, IntArray
 
-# Node blocks of a preconditioner are raised to this part of their largest eigenvalue.
-_BLOCK_FLOOR = 1e-6
-
 
 @dataclass(frozen=True)
 class SaddleSystem:
@@ -29,15 +26,12 @@ class SaddleSystem:
         Rows of the multipliers of every quadrature point.
     C : list of (n_cells, n_q, n_m, n_m) float64
         Their compliances.
-    has_inertia : bool
-        Whether A is definite by itself.
     """
 
     A: SparseHessian
     cells: list[np.ndarray]
     B: list[FloatArray]
     C: list[FloatArray]
-    has_inertia: bool
 
 
 class Layout:
@@ -117,44 +111,10 @@ class Layout:
 
     def dot(self, a: FloatArray, b: FloatArray) -> float:
         """Inner product of two vectors."""
-        return self.partition.sum(float(np.dot(a, b)))
+        # Not BLAS; see `Partition.dot`.
+        return self.partition.sum(float(np.einsum("i,i->", a, b)))
 
     def row_norms(self, vector: FloatArray) -> tuple[float, float]:
         """Norms of the two block rows."""
         first, second = vector[: self.n_dofs], vector[self.n_dofs :]
-        return (
-            float(np.sqrt(self.partition.sum(float(np.dot(first, first))))),
-            float(np.sqrt(self.partition.sum(float(np.dot(second, second))))),
-        )
-
-
-def block_inverses(
-    system: SaddleSystem, B: Sequence[FloatArray], layout: Layout
-) -> tuple[FloatArray, list[FloatArray]]:
-    """Inverse node blocks of A (n_owned, dim, dim) and inverse Schur blocks of every point, all positive definite.
-
-    Without inertia A may vanish; the node blocks of the eliminated matrix A + B^T C^-1 B take their place.
-    """
-    A, dim, partition = system.A, layout.dim, layout.partition
-    n = partition.n_local
-    blocks = np.zeros((n, dim, dim))
-    row = np.repeat(np.arange(n * dim), np.diff(A.row_offsets))
-    inside = row // dim == A.columns // dim
-    blocks[row[inside] // dim, row[inside] % dim, A.columns[inside] % dim] = A.values[inside]
-    if not system.has_inertia:
-        for b, c, cells in zip(B, system.C, system.cells, strict=True):
-            k = cells.shape[1]
-            parts = b.reshape(*b.shape[:3], k, dim)
-            solved = np.linalg.solve(c, b).reshape(parts.shape)
-            np.add.at(blocks, cells, np.einsum("eqmkc,eqmkd->ekcd", parts, solved))
-    partition.accumulate(blocks)
-    w, Q = np.linalg.eigh(blocks)
-    w = np.abs(w)
-    w = np.maximum(w, np.maximum(_BLOCK_FLOOR * w.max(axis=1, keepdims=True), np.finfo(float).tiny))
-    inverse = np.einsum("ncm,nm,ndm->ncd", Q, 1.0 / w, Q)
-    points = []
-    for b, c, cells in zip(B, system.C, system.cells, strict=True):
-        parts = b.reshape(*b.shape[:3], cells.shape[1], dim)
-        turned = np.einsum("ekcd,eqmkd->eqmkc", inverse[cells], parts)
-        points.append(np.linalg.inv(c + np.einsum("eqmkc,eqlkc->eqml", parts, turned)))
-    return inverse[: partition.n_owned], points
+        return float(np.sqrt(self.dot(first, first))), float(np.sqrt(self.dot(second, second)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -14,7 +15,7 @@ from femdeform.errors import Fault, InputError, MissingDependencyError
 from femdeform.fem.assembly import SparseHessian
 from femdeform.registry import preset_names
 from femdeform.types import FloatArray
-from solvers.linear import coo
+from solvers.linear import blas, coo
 from solvers.linear.interface import LinearResult
 
 _numbers = itertools.count()
@@ -32,11 +33,14 @@ class Preset:
         PETSc options without prefix and dash; a value of None is a flag.
     near_nullspace : bool
         Attach the rigid-body modes of the reference positions to the matrix.
+    global_solve : str
+        For a preset of saddle systems the mixed method's word for it, else empty.
     """
 
     name: str
     options: dict[str, Any]
     near_nullspace: bool = False
+    global_solve: str = ""
 
 
 def load_preset(name: str) -> Preset:
@@ -55,7 +59,8 @@ def load_preset(name: str) -> Preset:
         )
     text = (resources.files("solvers.presets") / f"{name}.yaml").read_text(encoding="utf-8")
     data = YAML(typ="safe", pure=True).load(text)
-    return Preset(name, dict(data["options"]), bool(data.get("near_nullspace", False)))
+    near_nullspace, global_solve = bool(data.get("near_nullspace", False)), str(data.get("global_solve", ""))
+    return Preset(name, dict(data["options"]), near_nullspace, global_solve)
 
 
 def _petsc() -> Any:
@@ -114,6 +119,11 @@ class KSP:
         self._pattern: object = None
         self._checked = False
 
+    @property
+    def saddle_options(self) -> dict[str, Any]:
+        """PETSc options for the factors of a saddle system, where the preset is one of those."""
+        return self._options if self.preset.global_solve else {}
+
     def _set_up(self, K: SparseHessian) -> None:
         PETSc = self._PETSc
         partition, dim = K.partition, K.dim
@@ -152,16 +162,23 @@ class KSP:
 
     def solve(self, K: SparseHessian, b: FloatArray) -> LinearResult:
         """Solve K x = b; see `LinearSolver`."""
+        if self.preset.global_solve:
+            message = (
+                f"{self.preset.name} is for saddle systems: solver mixed_fem, global_solve {self.preset.global_solve}"
+            )
+            raise InputError([Fault("", 0, "linear_solver.preset", message)])
         partition, dim = K.partition, K.dim
         try:
             if self._solver is None or K.pattern is not self._pattern:
                 self._free()
                 self._set_up(K)
                 self._pattern = K.pattern
-            coo.set_values(self._matrix, K.values)
-            self._b.setArray(b[: partition.n_owned].ravel())
-            self._x.set(0.0)
-            self._solver.solve(self._b, self._x)
+            is_direct = self._options.get("ksp_type") == "preonly"
+            with nullcontext() if is_direct else blas.one_thread():
+                coo.set_values(self._matrix, K.values)
+                self._b.setArray(b[: partition.n_owned].ravel())
+                self._x.set(0.0)
+                self._solver.solve(self._b, self._x)
         except self._PETSc.Error as error:
             if error.ierr == _OUT_OF_MEMORY:
                 raise MemoryError("PETSc") from None

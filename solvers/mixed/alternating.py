@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from femdeform.fem.assembly import SparseHessian
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.step_problem import Budget, IterationObserver, StepResult
 from femdeform.types import FloatArray
@@ -46,6 +47,7 @@ class Alternating:
         # Stretches that belong to accepted positions: those of the step before, and of its start in case it is retried.
         self._known: list[tuple[FloatArray, list[FloatArray]]] = []
         self._rows = (math.nan, math.nan)
+        self._condensed_system: tuple[SparseHessian, FloatArray, FloatArray, FloatArray] | None = None
         self._is_scaled = False
 
     def reset(self) -> None:
@@ -105,7 +107,7 @@ class Alternating:
             if x is outer:
                 assert spent is not None
                 return result(spent)
-            length, x = self._line_search(problem, outer, x)
+            length, x = self._line_search(problem, outer, x, problem.initial_guess(state))
             if length == 0.0:
                 return result("the line search failed")
             self._known = [start, (x.copy(), [group.S.copy() for group in self.groups])]
@@ -136,7 +138,20 @@ class Alternating:
         }
         if self.saddle is not None:
             row |= {"kkt_momentum_residual": self._rows[0], "kkt_constraint_residual": self._rows[1]}
+        else:
+            row["kkt_momentum_residual"] = self._momentum_residual(problem)
         return row
+
+    def _momentum_residual(self, problem: Any) -> float:
+        """Residual of the first block row after a condensed solve, over the sizes of its terms; the second is exact."""
+        assert self._condensed_system is not None
+        K, b, forces, change = self._condensed_system
+        residual = K.times(change) - b
+        inertia = np.zeros_like(change)
+        if not problem.quasistatic:
+            inertia = np.where(problem.free, problem.apply_mass(change) / problem.dt**2, 0.0)
+        norm = problem.partition.norm
+        return ratio(norm(residual), norm(inertia) + norm(forces) + norm(residual + forces - inertia))
 
     # ------------------------------------------------------------------------------------------- global solve
 
@@ -159,7 +174,6 @@ class Alternating:
             [group.group.cells for group in self.groups],
             [B for B, _, _ in parts],
             [C for _, C, _ in parts],
-            not problem.quasistatic,
         )
         constant = None
         if self.saddle.method == "kkt_cg":
@@ -178,8 +192,10 @@ class Alternating:
             self.groups[k].condensed(blocks, first, slots, first_slot)
 
         K = problem.hessian(x, project=True, elastic=write)
+        forces = b
         b = b + np.where(problem.free, problem.sum_elastic_slots(), 0.0)
         answer = self.linear_solver.solve(K, b)
+        self._condensed_system = (K, b, forces, answer.x)
         if not answer.converged:
             return answer.x, answer.iterations, f"the linear solver failed: {answer.reason}"
         for group in self.groups:
@@ -188,15 +204,22 @@ class Alternating:
 
     # ------------------------------------------------------------------------------------------- line search
 
-    def _line_search(self, problem: Any, begin: FloatArray, end: FloatArray) -> tuple[float, FloatArray]:
+    def _line_search(
+        self, problem: Any, begin: FloatArray, end: FloatArray, last: FloatArray
+    ) -> tuple[float, FloatArray]:
         """Length and positions on the way from `begin` to `end` at which Phi is lower; the stretches go along.
 
-        The paper names no merit; Phi with the stretch eliminated is one (methods.md 2.8).
+        The paper names no merit; Phi with the stretch eliminated is one (methods.md 2.8). Where free flight has turned
+        a cell inside out whose law is not defined there, the way starts from the positions of the `last` state.
         """
         search = self.options.line_search
-        change = end - begin
         problem.linearize_at(begin)
-        value, magnitude = problem.value(begin), problem.value_magnitude
+        value = problem.value(begin)
+        if not math.isfinite(value):
+            begin = last
+            problem.linearize_at(begin)
+            value = problem.value(begin)
+        magnitude, change = problem.value_magnitude, end - begin
         slope = problem.partition.dot(problem.gradient(begin), change)
         if not math.isfinite(slope):
             slope = 0.0

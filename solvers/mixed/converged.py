@@ -77,7 +77,6 @@ class MixedRule:
             [cells.group.cells for cells in self.cells],
             [B for B, _ in pairs],
             [C for _, C in pairs],
-            not problem.quasistatic,
         )
         answer: SaddleResult = self.saddle.solve(system, b, [np.zeros(B.shape[:3]) for B, _ in pairs])
         self._rows = (answer.momentum_residual, answer.constraint_residual)

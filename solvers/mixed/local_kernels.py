@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from femdeform.fem.kernels import CHUNK, add_blocks, add_forces, deformation_gradient
+from femdeform.fem.kernels import CHUNK, add_forces, deformation_gradient
 from femdeform.fem.mixed_kernels import write_compliance, write_rows
+from femdeform.fem.mode_blocks import add_mode_blocks, complete_blocks, through_modes
 from femdeform.jit import njit, prange
 from solvers.mixed.local_points import (
     completed_root,
@@ -25,10 +26,10 @@ from solvers.mixed.local_points import (
     nearest_rotation,
     principal,
     product,
+    stiffness_modes,
     store,
     transposed,
     write_full_compliance,
-    write_stiffness,
 )
 
 
@@ -158,7 +159,7 @@ def condensed_blocks(
     n_pairs = (len(nodes) * (len(nodes) + 1)) // 2
     n_chunks = (cells.shape[0] + CHUNK - 1) // CHUNK
     for chunk in prange(n_chunks):
-        H, M, P = np.empty((d * d, d * d)), np.empty((d * d, d)), np.empty(d * d)
+        H, M = np.empty((d * d, d * d)), np.empty((d * d, d))
         for e in range(chunk * CHUNK, min((chunk + 1) * CHUNK, cells.shape[0])):
             row, slot = first_block + e * n_pairs, first_slot + e * len(nodes)
             for r in range(row, row + n_pairs):
@@ -170,13 +171,11 @@ def condensed_blocks(
             for q in range(weights.shape[1]):
                 v = entries(V[e, q], dim)
                 U = product(entries(R[e, q], dim), v)
-                write_stiffness(U, v, inverse[e, q], flips[e, q], eps[e, q], H)
-                add_blocks(H, weights[e, q], gradients, e, q, dim, nodes, M, blocks, row)
-                for i in range(d * d):
-                    P[i] = 0.0
-                    for j in range(d * d):
-                        P[i] += H[i, j] * sides[e, q, j]
-                add_forces(entries(P, dim), weights[e, q], gradients, e, q, nodes, slots, slot)
+                A, twist, flip = stiffness_modes(inverse[e, q], flips[e, q], eps[e, q], dim)
+                add_mode_blocks(U, v, A, twist, flip, weights[e, q], gradients, e, q, dim, nodes, H, M, blocks, row)
+                P = through_modes(entries(sides[e, q], dim), U, v, A, twist, flip)
+                add_forces(P, weights[e, q], gradients, e, q, nodes, slots, slot)
+            complete_blocks(dim, nodes, blocks, row)
 
 
 @njit(parallel=True)
@@ -196,20 +195,15 @@ def condensed_multipliers(
     L: Any,
 ) -> None:
     """Multipliers L = D (J dq - r) after the condensed solve."""
-    d = len(dim)
-    n_chunks = (cells.shape[0] + CHUNK - 1) // CHUNK
-    for chunk in prange(n_chunks):
-        H = np.empty((d * d, d * d))
-        for e in range(chunk * CHUNK, min((chunk + 1) * CHUNK, cells.shape[0])):
-            for q in range(weights.shape[1]):
-                change = deformation_gradient(step, cells, gradients, e, q, dim, nodes)
-                v = entries(V[e, q], dim)
-                U = product(entries(R[e, q], dim), v)
-                write_stiffness(U, v, inverse[e, q], flips[e, q], eps[e, q], H)
-                for i in range(d * d):
-                    L[e, q, i] = 0.0
-                    for j in range(d * d):
-                        L[e, q, i] += H[i, j] * (change[j] - sides[e, q, j])
+    for e in prange(cells.shape[0]):
+        for q in range(weights.shape[1]):
+            change = deformation_gradient(step, cells, gradients, e, q, dim, nodes)
+            v = entries(V[e, q], dim)
+            U = product(entries(R[e, q], dim), v)
+            A, twist, flip = stiffness_modes(inverse[e, q], flips[e, q], eps[e, q], dim)
+            for i in range(len(change)):
+                L[e, q, i] = change[i] - sides[e, q, i]
+            store(through_modes(entries(L[e, q], dim), U, v, A, twist, flip), L[e, q])
 
 
 @njit(parallel=True)

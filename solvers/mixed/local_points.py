@@ -14,7 +14,7 @@ from numba.extending import overload
 
 from femdeform.fem.mixed_kernels import above, above_2d, above_3d, inverse_symmetric_2d, inverse_symmetric_3d
 from femdeform.jit import njit
-from femdeform.materials.dispatch import energy_from_stretches, stretch_derivatives
+from femdeform.materials.dispatch import energy_density, stretch_derivatives
 from femdeform.materials.isotropic import assemble_modes_2d, assemble_modes_3d
 from femdeform.materials.small_matrix import (
     multiply_2d,
@@ -234,27 +234,27 @@ def _rod_rotation(M: Any) -> Any:
     )
 
 
-def write_stiffness(U: Any, V: Any, inverse: Any, flips: Any, eps: Any, H: Any) -> None:
-    """Write (W H^-1 W^T + eps)^-1 into H; without eps its pseudo-inverse, no stiffness against skew variations."""
+def stiffness_modes(inverse: Any, flips: Any, eps: Any, dim: Any) -> Any:
+    """Scaling block, twist and flip of (W H^-1 W^T + eps)^-1; without eps no stiffness against skew variations."""
     raise NotImplementedError("compiled code only")
 
 
-@overload(write_stiffness)
-def _write_stiffness_compiled(U: Any, V: Any, inverse: Any, flips: Any, eps: Any, H: Any) -> Any:
-    def planar(U: Any, V: Any, inverse: Any, flips: Any, eps: Any, H: Any) -> None:
+@overload(stiffness_modes)
+def _stiffness_modes_compiled(inverse: Any, flips: Any, eps: Any, dim: Any) -> Any:
+    def planar(inverse: Any, flips: Any, eps: Any, dim: Any) -> Any:
         twist = 1.0 / eps if eps > 0.0 else 0.0
         A = inverse_symmetric_2d((inverse[0] + eps, inverse[1] + eps, inverse[2]))
-        assemble_modes_2d(U, V, A, twist, 1.0 / (flips[0] + eps), H)
+        return A, twist, 1.0 / (flips[0] + eps)
 
-    def spatial(U: Any, V: Any, inverse: Any, flips: Any, eps: Any, H: Any) -> None:
+    def spatial(inverse: Any, flips: Any, eps: Any, dim: Any) -> Any:
         twist = 1.0 / eps if eps > 0.0 else 0.0
         A = inverse_symmetric_3d(
             (inverse[0] + eps, inverse[1] + eps, inverse[2] + eps, inverse[3], inverse[4], inverse[5])
         )
         f = (1.0 / (flips[0] + eps), 1.0 / (flips[1] + eps), 1.0 / (flips[2] + eps))
-        assemble_modes_3d(U, V, A, (twist, twist, twist), f, H)
+        return A, (twist, twist, twist), f
 
-    return planar if len(U) == 4 else spatial
+    return planar if len(dim) == 2 else spatial
 
 
 def write_full_compliance(U: Any, V: Any, inverse: Any, flips: Any, H: Any) -> None:
@@ -281,15 +281,11 @@ def has_energy(S: Any, law: Any) -> Any:
 
 @overload(has_energy)
 def _finite_energy_compiled(S: Any, law: Any) -> Any:
-    def planar(S: Any, law: Any) -> Any:
-        s, _ = symmetric_eigen_2d((S[0], S[3], 0.5 * (S[1] + S[2])))
-        return math.isfinite(energy_from_stretches(s, law))
+    # A symmetric stretch is a deformation gradient as good as any.
+    def finite(S: Any, law: Any) -> Any:
+        return math.isfinite(energy_density(S, law))
 
-    def spatial(S: Any, law: Any) -> Any:
-        s, _ = symmetric_eigen_3d((S[0], S[4], S[8], 0.5 * (S[5] + S[7]), 0.5 * (S[2] + S[6]), 0.5 * (S[1] + S[3])))
-        return math.isfinite(energy_from_stretches(s, law))
-
-    return planar if len(S) == 4 else spatial
+    return finite
 
 
 def completed_root(C: Any, across: Any) -> Any:

@@ -114,7 +114,7 @@ def test_other_twist_rules_find_the_same(twist: str) -> None:
 
 
 @pytest.mark.petsc
-@pytest.mark.parametrize("method", ["kkt_direct", "kkt_minres"])
+@pytest.mark.parametrize("method", ["condensed_cg", "kkt_direct", "kkt_minres"])
 def test_the_saddle_form_finds_the_same(method: str) -> None:
     bodies = {
         "b": body(block([1.0, 0.3, 0.3], [4, 1, 1]), material(E=2e5, nu=0.4)),

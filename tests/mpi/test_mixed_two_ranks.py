@@ -44,6 +44,8 @@ def deck(solver: dict[str, Any], preset: str) -> dict[str, Any]:
     ("solver", "preset"),
     [
         pytest.param(TIGHT, "newton-icc", id="condensed"),
+        pytest.param(TIGHT, "newton-ssor", id="condensed-ssor"),
+        pytest.param({**TIGHT, "global_solve": "condensed_cg"}, "newton-mumps", id="constant"),
         pytest.param({**TIGHT, "global_solve": "kkt_direct"}, "newton-mumps", id="saddle"),
         pytest.param({**FIXED, "global_solve": "kkt_minres"}, "newton-mumps", id="alternating-minres"),
         pytest.param({**FIXED, "global_solve": "kkt_cg", "tikhonov": TIKHONOV}, "newton-mumps", id="alternating-cg"),

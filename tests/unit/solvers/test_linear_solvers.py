@@ -12,7 +12,7 @@ from femdeform.errors import InputError
 from femdeform.fem.assembly import SparseHessian
 from solvers.linear.scipy_direct import SciPyDirect
 
-PRESETS = ["newton-mumps", "newton-gamg", "newton-hypre", "newton-icc"]
+PRESETS = ["newton-mumps", "newton-gamg", "newton-hypre", "newton-icc", "newton-ssor"]
 
 
 def deck(linear_solver: dict[str, Any], order: int = 1, dim: int = 3) -> dict[str, Any]:
