@@ -13,7 +13,7 @@ import pytest
 from femdeform import cli
 from femdeform.errors import InputError
 from meshes.writers import write_mesh
-from verification.benchmarks import environment, mixed, mixed_bodies, mixed_case, mixed_tables
+from verification.benchmarks import environment, mixed, mixed_bodies, mixed_case, mixed_iteration_tables, mixed_tables
 from verification.benchmarks.child_process import Outcome, skipped
 from verification.benchmarks.mixed_bodies import TABLE, Body, TableRow
 
@@ -204,14 +204,14 @@ def test_methods_find_one_solution_in_countable_iterations(kind: str) -> None:
 def test_exponent_and_crossing() -> None:
     sizes = [10.0, 100.0, 1000.0, 10000.0]
     cubic = [(n, 2.0 * n**1.5) for n in sizes]
-    assert mixed_tables.exponent(cubic) == "1.50"
-    assert mixed_tables.exponent([(1.0, 77.0), *cubic]) == "1.50"
-    assert mixed_tables.exponent(cubic[:2]) == "-"
+    assert mixed_iteration_tables.exponent(cubic) == "1.50"
+    assert mixed_iteration_tables.exponent([(1.0, 77.0), *cubic]) == "1.50"
+    assert mixed_iteration_tables.exponent(cubic[:2]) == "-"
     linear = [(n, 40.0 * n) for n in sizes]
-    assert mixed_tables.crossing(linear, cubic) == pytest.approx(400.0)
-    assert mixed_tables.crossing(linear[3:], cubic[3:]) == 0.0
-    assert mixed_tables.crossing(linear[:2], cubic[:2]) is None
-    assert mixed_tables.crossing(cubic, linear) is None
+    assert mixed_iteration_tables.crossing(linear, cubic) == pytest.approx(400.0)
+    assert mixed_iteration_tables.crossing(linear[3:], cubic[3:]) == 0.0
+    assert mixed_iteration_tables.crossing(linear[:2], cubic[:2]) is None
+    assert mixed_iteration_tables.crossing(cubic, linear) is None
 
 
 def _times(value: float) -> dict[str, float]:
