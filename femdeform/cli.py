@@ -512,6 +512,12 @@ _BENCH_EPILOG = """\
 examples:
   femdeform bench
   femdeform bench newton --out results/bench
+  femdeform bench mixed
+
+newton: assembly, one Newton iteration by preset, on one rank and two, beside other codes.
+mixed: a substep of the alternating scheme, one iteration of the converged one, growth with the mesh, iteration counts;
+  with the meshes published with the paper's code where FEMDEFORM_DATA/meshes has them, else recipes of the same size.
+FEMDEFORM_BENCH_CELLS=N makes all bodies blocks of N cells an edge. bench.md holds the tables as Markdown.
 """
 
 

@@ -112,6 +112,11 @@ class MixedVariational:
             self._rule = MixedRule(options, linear_solver, self._saddle, cells)
         self._problem = problem
 
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Time that the alternating scheme has spent so far, by phase (see `Alternating`) [s]; else empty."""
+        return {} if self._alternating is None else dict(self._alternating.stopwatch.seconds)
+
     def reset(self) -> None:
         """Forget stretches and factors, so that a run resumed from here repeats an unbroken one."""
         if self._alternating is not None:

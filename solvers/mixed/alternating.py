@@ -16,6 +16,7 @@ from solvers.linear.interface import LinearSolver
 from solvers.linear.kkt import SaddleSolver
 from solvers.linear.kkt_system import SaddleSystem
 from solvers.mixed.local_state import LocalState
+from solvers.stopwatch import Stopwatch
 
 # A step that promises less than this fraction of the energies that cancel in Phi is taken as it is. A rise by less than
 # the second is rounding.
@@ -35,6 +36,12 @@ class Alternating:
         For the others.
     problem : IncrementalPotential
         Its element groups are taken once.
+
+    Attributes
+    ----------
+    stopwatch : Stopwatch
+        Phases of the iterations: ``assembly`` of the linear system and its right-hand side, its ``solve``, multipliers
+        included, and the ``local`` updates of rotations, stretches and the model of psi.
     """
 
     def __init__(
@@ -49,6 +56,7 @@ class Alternating:
         self._rows = (math.nan, math.nan)
         self._condensed_system: tuple[SparseHessian, FloatArray, FloatArray, FloatArray] | None = None
         self._is_scaled = False
+        self.stopwatch = Stopwatch()
 
     def reset(self) -> None:
         """Forget the stretches: the next step takes those of its positions."""
@@ -81,15 +89,19 @@ class Alternating:
 
         for _ in range(options.outer_iterations):
             outer = x
+            self.stopwatch.start()
             for group in self.groups:
                 group.freeze()
+            self.stopwatch.lap("local")
             spent = None
             for _ in range(options.inner_iterations):
                 spent = budget.spent(iteration)
                 if spent is not None:
                     break
+                self.stopwatch.start()
                 for group in self.groups:
                     group.rotate(x, alpha)
+                self.stopwatch.lap("local")
                 alpha *= options.beta_growth
                 change, count, failure = self._global_solve(problem, x)
                 linear_iterations += count
@@ -98,6 +110,7 @@ class Alternating:
                 x = x + change
                 for group in self.groups:
                     group.update_stretch()
+                self.stopwatch.lap("local")
                 iteration += 1
                 if observe is not None:
                     with budget.paused():
@@ -178,12 +191,14 @@ class Alternating:
         constant = None
         if self.saddle.method == "kkt_cg":
             constant = [group.constant_compliances() for group in self.groups]
+        self.stopwatch.lap("assembly")
         answer = self.saddle.solve(system, b, [side for _, _, side in parts], constant)
         self._rows = (answer.momentum_residual, answer.constraint_residual)
         if not answer.converged:
             return answer.x, answer.iterations, f"the saddle solver failed: {answer.reason}"
         for group, y in zip(self.groups, answer.y, strict=True):
             group.take_multipliers(y)
+        self.stopwatch.lap("solve")
         return answer.x, answer.iterations, ""
 
     def _condensed(self, problem: Any, x: FloatArray, b: FloatArray) -> tuple[FloatArray, int, str]:
@@ -194,12 +209,14 @@ class Alternating:
         K = problem.hessian(x, project=True, elastic=write)
         forces = b
         b = b + np.where(problem.free, problem.sum_elastic_slots(), 0.0)
+        self.stopwatch.lap("assembly")
         answer = self.linear_solver.solve(K, b)
         self._condensed_system = (K, b, forces, answer.x)
         if not answer.converged:
             return answer.x, answer.iterations, f"the linear solver failed: {answer.reason}"
         for group in self.groups:
             group.take_condensed(answer.x)
+        self.stopwatch.lap("solve")
         return answer.x, answer.iterations, ""
 
     # ------------------------------------------------------------------------------------------- line search

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,11 @@ class Outcome:
     def done(self) -> bool:
         """Whether there is something to show."""
         return self.status == "done"
+
+    def as_data(self) -> dict[str, Any]:
+        """All of it as plain data."""
+        reason = {"reason": self.reason} if self.reason else {}
+        return {"status": self.status, **reason, **self.data}
 
 
 def skipped(reason: str) -> Outcome:
@@ -132,3 +137,23 @@ def read_case() -> dict[str, Any]:
 def write_result(data: Mapping[str, Any]) -> None:
     """In the child: hand the result back."""
     Path(sys.argv[2]).write_text(json.dumps(dict(data)), encoding="utf-8")
+
+
+def serve(kinds: Mapping[str, Callable[[dict[str, Any]], dict[str, Any]]]) -> None:
+    """In the child: do what the case's ``kind`` says and hand the result of the first rank back."""
+    from femdeform import parallel
+
+    comm = parallel.world()
+    case = read_case()
+    try:
+        result = kinds[case["kind"]](case)
+    except BaseException:
+        if comm is None:
+            raise
+        import traceback
+
+        traceback.print_exc()
+        comm.Abort(1)
+        raise
+    if comm is None or comm.Get_rank() == 0:
+        write_result(result)

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from femdeform import jit, registry
-from femdeform.errors import InputError
 from verification.benchmarks import child_process
 from verification.benchmarks.child_process import Outcome, skipped
+from verification.benchmarks.environment import chosen_cells, has_petsc
 from verification.benchmarks.run import Findings
 
-CELLS_VARIABLE = "FEMDEFORM_BENCH_CELLS"
 PEERS_VARIABLE = "FEMDEFORM_PEERS"
 # 32 nodes along an edge: the block of the position-based literature; 32 cells: the one the peers were measured on.
 NODES_BLOCK = 31
@@ -105,12 +104,8 @@ def block_sizes() -> tuple[int, int]:
     InputError
         If the variable is not a number of at least 2.
     """
-    text = os.environ.get(CELLS_VARIABLE, "").strip()
-    if not text:
-        return NODES_BLOCK, CELLS_BLOCK
-    if not (text.isascii() and text.isdigit() and int(text) >= 2):
-        raise InputError(f"{CELLS_VARIABLE}: expected a whole number of at least 2, got {text!r}")
-    return int(text), int(text)
+    cells = chosen_cells()
+    return (NODES_BLOCK, CELLS_BLOCK) if cells is None else (cells, cells)
 
 
 def newton_presets() -> list[str]:
@@ -127,10 +122,6 @@ def _assembly(results: Results, say: Callable[[str], None]) -> None:
         results.assembly["single"] = child_process.run_module(_CASE, case, 1)
 
 
-def _has_petsc() -> bool:
-    return find_spec("petsc4py") is not None
-
-
 def _presets(results: Results, say: Callable[[str], None]) -> None:
     for mode, quasistatic in _MODES.items():
         outcomes = results.iterations.setdefault(mode, {})
@@ -141,7 +132,7 @@ def _presets(results: Results, say: Callable[[str], None]) -> None:
                 continue
             say(f"{preset}, {mode}")
             outcomes[preset] = _iteration(results.cells, quasistatic, _ksp(preset), jit.default_threads())
-        if not _has_petsc():
+        if not has_petsc():
             if results.cells > _SCIPY_CELLS:
                 outcomes["scipy_direct"] = skipped(f"only up to {_SCIPY_CELLS}^3 cells: its factors fill memory")
             else:
@@ -155,7 +146,7 @@ def _presets(results: Results, say: Callable[[str], None]) -> None:
 
 def reason_to_skip(preset: str, cells: int) -> str:
     """Why a preset is not measured on a block of that size; empty if it is."""
-    if not _has_petsc():
+    if not has_petsc():
         return "petsc4py is not installed"
     if preset == "newton-mumps":
         n = 3.0 * (cells + 1) ** 3

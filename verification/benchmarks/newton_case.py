@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from femdeform import parallel
 from femdeform.fem.assembly import SparseHessian
 from femdeform.types import FloatArray
 from solvers.linear import coo
 from solvers.linear.ksp import KSP, load_preset
 from verification.benchmarks import child_process
 from verification.benchmarks.block import Block
+from verification.benchmarks.matrix_times import matrix_times
 from verification.benchmarks.measure import REPETITIONS, measure, peak_memory, summary
 
 # An iteration that takes longer is measured once: its repetitions would hold everything up and teach nothing.
@@ -90,18 +90,8 @@ def dump(block: Block, x: FloatArray, path: str) -> None:
         lmbda=law.lmbda,
         forces=problem.internal_forces(x),
         direction=direction,
-        product=_times(K, direction),
+        product=matrix_times(K, direction),
     )
-
-
-def _times(K: SparseHessian, field: FloatArray) -> FloatArray:
-    """K times a (n_local, dim) field, on any number of ranks."""
-    import scipy.sparse
-
-    matrix = scipy.sparse.csr_matrix((K.values, K.columns, K.row_offsets), shape=(field.size, field.size))
-    product = np.ascontiguousarray((matrix @ field.ravel()).reshape(field.shape))
-    K.partition.accumulate(product)
-    return product
 
 
 def iteration(case: dict[str, Any]) -> dict[str, Any]:
@@ -146,7 +136,7 @@ def iteration(case: dict[str, Any]) -> dict[str, Any]:
         answer = solver.solve(K, -residual)
         marks.append(_now(barrier))
         parts = dict(zip(("residual", "tangent", "solve"), np.diff(marks).tolist(), strict=True))
-        remainder = problem.partition.norm(_times(K, answer.x) + residual) / problem.partition.norm(residual)
+        remainder = problem.partition.norm(matrix_times(K, answer.x) + residual) / problem.partition.norm(residual)
         return parts | {"whole": marks[-1] - marks[0]}, answer, remainder
 
     first, answer, remainder = one()
@@ -200,23 +190,5 @@ def _sizes(block: Block) -> dict[str, Any]:
 KINDS: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {"assembly": assembly, "iteration": iteration}
 
 
-def main() -> None:
-    """Run the case named on the command line."""
-    comm = parallel.world()
-    case = child_process.read_case()
-    try:
-        result = KINDS[case["kind"]](case)
-    except BaseException:
-        if comm is None:
-            raise
-        import traceback
-
-        traceback.print_exc()
-        comm.Abort(1)
-        raise
-    if comm is None or comm.Get_rank() == 0:
-        child_process.write_result(result)
-
-
 if __name__ == "__main__":
-    main()
+    child_process.serve(KINDS)

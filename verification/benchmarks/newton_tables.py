@@ -8,7 +8,7 @@ from verification.benchmarks.block import DT, YOUNGS_MODULUS, stiffness_number
 from verification.benchmarks.child_process import Outcome
 from verification.benchmarks.newton import Results
 from verification.benchmarks.run import Findings
-from verification.benchmarks.tables import Cell, Table, megabytes, ratio, seconds
+from verification.benchmarks.tables import Cell, Table, add_reasons, megabytes, ratio, seconds
 
 _PARTS = {
     "energy": "energy",
@@ -60,7 +60,7 @@ def _assembly(results: Results) -> Table:
         n_cells = next(iter(outcomes.values())).data["n_cells"]
         rate = f"{n_cells / values[0]['median'] / 1e6:.2f}"
         table.rows.append([label, *(seconds(value) for value in values), rate])
-    _add_reasons(table, results.assembly)
+    add_reasons(table, results.assembly)
     return table
 
 
@@ -95,7 +95,7 @@ def _iterations(results: Results, mode: str) -> Table:
         )
         if data["converged"] and data["repeated"] is None:
             table.notes.append(f"{preset}: not repeated, because the first iteration took too long.")
-    _add_reasons(table, outcomes)
+    add_reasons(table, outcomes)
     return table
 
 
@@ -111,7 +111,7 @@ def _ranks(results: Results) -> Table:
     for mode in _MODES:
         outcomes = results.ranks.get(mode, {})
         one, two = (_repeated(outcomes.get(n)) for n in (1, 2))
-        _add_reasons(table, {f"{mode}, {n} ranks": outcome for n, outcome in outcomes.items()})
+        add_reasons(table, {f"{mode}, {n} ranks": outcome for n, outcome in outcomes.items()})
         if one is None or two is None:
             continue
         evaluate = [_sum_of_medians(parts, ("residual", "tangent")) or 0.0 for parts in (one, two)]
@@ -172,7 +172,7 @@ def _comparison(results: Results) -> Table:
     if results.own.get("iteration") is not None and results.own["iteration"].done:
         steps = results.own["iteration"].data["iterations"]
         table.notes.append(f"femdeform: {results.best['statics']}, {steps} linear steps.")
-    _add_reasons(table, results.own | results.peers)
+    add_reasons(table, results.own | results.peers)
     return table
 
 
@@ -212,34 +212,21 @@ def _aims(results: Results) -> Table:
     return table
 
 
-def _add_reasons(table: Table, outcomes: dict[str, Outcome]) -> None:
-    """Say below a table why cases are not in it; the same reason once."""
-    by_reason: dict[str, list[str]] = {}
-    for name, outcome in outcomes.items():
-        if not outcome.done:
-            by_reason.setdefault(f"{outcome.status}: {outcome.reason}", []).append(name)
-    table.notes += [f"{', '.join(names)} {reason}." for reason, names in by_reason.items()]
-
-
 def _data(results: Results) -> dict[str, Any]:
-    def plain(outcome: Outcome) -> dict[str, Any]:
-        reason = {"reason": outcome.reason} if outcome.reason else {}
-        return {"status": outcome.status, **reason, **outcome.data}
-
     return {
         "cells": results.cells,
         "comparison_cells": results.peer_cells,
         "stiffness_number": stiffness_number(results.cells),
-        "assembly": {name: plain(outcome) for name, outcome in results.assembly.items()},
+        "assembly": {name: outcome.as_data() for name, outcome in results.assembly.items()},
         "iterations": {
-            mode: {name: plain(outcome) for name, outcome in outcomes.items()}
+            mode: {name: outcome.as_data() for name, outcome in outcomes.items()}
             for mode, outcomes in results.iterations.items()
         },
         "best": results.best,
         "ranks": {
-            mode: {str(n): plain(outcome) for n, outcome in outcomes.items()}
+            mode: {str(n): outcome.as_data() for n, outcome in outcomes.items()}
             for mode, outcomes in results.ranks.items()
         },
-        "own": {name: plain(outcome) for name, outcome in results.own.items()},
-        "peers": {name: plain(outcome) for name, outcome in results.peers.items()},
+        "own": {name: outcome.as_data() for name, outcome in results.own.items()},
+        "peers": {name: outcome.as_data() for name, outcome in results.peers.items()},
     }

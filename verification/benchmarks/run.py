@@ -47,6 +47,7 @@ Benchmark = Callable[[Callable[[str], None]], Findings]
 # By name, as `module:function`: a benchmark and its libraries are imported only when it runs.
 BENCHMARKS: dict[str, str] = {
     "newton": "verification.benchmarks.newton:run_newton",
+    "mixed": "verification.benchmarks.mixed:run_mixed",
 }
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+from verification.benchmarks.child_process import Outcome
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,15 @@ class Table:
 def _markdown_row(entries: Sequence[str | Cell]) -> str:
     texts = [entry.long if isinstance(entry, Cell) else entry for entry in entries]
     return "| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |"
+
+
+def add_reasons(table: Table, outcomes: Mapping[str, Outcome]) -> None:
+    """Say below a table why cases are not in it; the same reason once."""
+    by_reason: dict[str, list[str]] = {}
+    for name, outcome in outcomes.items():
+        if not outcome.done:
+            by_reason.setdefault(f"{outcome.status}: {outcome.reason}", []).append(name)
+    table.notes += [f"{', '.join(names)} {reason}." for reason, names in by_reason.items()]
 
 
 def seconds(value: dict[str, float] | float | None) -> str | Cell:

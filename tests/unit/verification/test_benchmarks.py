@@ -15,7 +15,7 @@ import pytest
 
 from femdeform import cli
 from femdeform.errors import InputError
-from verification.benchmarks import child_process, measure, newton, newton_case, newton_tables, run
+from verification.benchmarks import child_process, environment, measure, newton, newton_case, newton_tables, run
 from verification.benchmarks.block import Block, stiffness_number
 from verification.benchmarks.child_process import Outcome, skipped
 from verification.benchmarks.tables import Cell, Table, megabytes, ratio, seconds
@@ -48,13 +48,13 @@ def test_bench_starts_its_own_ranks(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 
 @pytest.mark.parametrize("text", ["0", "1", "-3", "six", "2.5"])
 def test_size_from_the_environment_is_checked(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(newton.CELLS_VARIABLE, text)
+    monkeypatch.setenv(environment.CELLS_VARIABLE, text)
     with pytest.raises(InputError, match="at least 2"):
         newton.block_sizes()
 
 
 def test_default_sizes_are_those_of_the_literature(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(newton.CELLS_VARIABLE, raising=False)
+    monkeypatch.delenv(environment.CELLS_VARIABLE, raising=False)
     cells, peer_cells = newton.block_sizes()
     assert ((cells + 1) ** 3, 5 * cells**3) == (32_768, 148_955)
     assert 5 * peer_cells**3 == 163_840
@@ -234,11 +234,11 @@ def test_iteration_case_without_petsc_uses_what_it_is_told() -> None:
 
 
 def test_large_direct_solves_are_skipped_with_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(newton, "_has_petsc", lambda: True)
+    monkeypatch.setattr(newton, "has_petsc", lambda: True)
     assert newton.reason_to_skip("newton-mumps", newton.NODES_BLOCK) == ""
     assert "GB" in newton.reason_to_skip("newton-mumps", 120)
     assert newton.reason_to_skip("newton-gamg", 120) == ""
-    monkeypatch.setattr(newton, "_has_petsc", lambda: False)
+    monkeypatch.setattr(newton, "has_petsc", lambda: False)
     assert newton.reason_to_skip("newton-gamg", 6) == "petsc4py is not installed"
 
 
@@ -343,7 +343,7 @@ def test_quantities_as_text() -> None:
 def test_newton_benchmark_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv(newton.CELLS_VARIABLE, "6")
+    monkeypatch.setenv(environment.CELLS_VARIABLE, "6")
     monkeypatch.setenv("FEMDEFORM_THREADS", "1")
     monkeypatch.setenv(newton.PEERS_VARIABLE, str(tmp_path / "no-peers"))
     monkeypatch.setattr(newton, "newton_presets", lambda: ["newton-icc"])
