@@ -53,7 +53,7 @@ class MixedFEMSolver(SceneModel):
         description="residual of each block row of the saddle system over its own size; condensed_cg: over the "
         "right-hand side [-]",
     )
-    kkt_max_iterations: int = Field(default=10000, ge=1, description="iterations of condensed_cg, kkt_minres and kkt_cg")
+    kkt_max_iterations: int = Field(default=10000, ge=1, description="steps of condensed_cg, kkt_minres and kkt_cg")
 
     twist: Literal["rule", "never", "always"] = Field(
         default="rule",
