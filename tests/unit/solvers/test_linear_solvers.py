@@ -206,3 +206,16 @@ def test_a_new_pattern_makes_a_new_matrix(preset: str) -> None:
         np.testing.assert_allclose(answer.x, reference.x, atol=tolerance * np.abs(reference.x).max())
     assert sizes[0] == sizes[2] < sizes[1] == sizes[3]
     simulation.linear_solver.destroy()
+
+
+@pytest.mark.petsc
+def test_krylov_methods_keep_blas_on_one_thread() -> None:
+    from solvers.linear import blas, coo
+
+    library = coo.library()
+    if not hasattr(library, "openblas_get_num_threads"):
+        pytest.skip("PETSc's BLAS is not OpenBLAS")
+    before = library.openblas_get_num_threads()
+    with blas.one_thread():
+        assert library.openblas_get_num_threads() == 1
+    assert library.openblas_get_num_threads() == before
