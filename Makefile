@@ -2,8 +2,9 @@
 #
 #   make setup    system packages (where apt and root or sudo are there), .venv, Python packages, petsc4py
 #   make demo     set up, run scenes/rubber-mount.yaml, leave frames, a picture, plots and a report
-#   make test     set up, static checks, all tests, those on two MPI ranks included
+#   make test     set up, static checks, the pages, all tests, those on two MPI ranks included
 #   make lint     set up, ruff, mypy --strict and the import contracts
+#   make docs     set up, build the pages of docs/ into site/; a broken link or example of a page fails
 #   make peers    a separate environment with the packages that the benchmarks compare with
 #   make clean    remove environments and results
 
@@ -22,7 +23,7 @@ PACKAGES := libpetsc-real-dev libopenblas0-pthread pkg-config make g++ python3-v
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
-.PHONY: setup demo test lint peers clean
+.PHONY: setup demo test lint docs peers clean
 
 setup: $(VENV)/.ready
 
@@ -86,13 +87,18 @@ demo: setup
 clean-demo:
 	rm -rf $(DEMO)
 
-test: lint
+test: lint docs
 	$(BIN)/python -m pytest
 
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/mypy docs/hooks.py
 	$(BIN)/lint-imports
+
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "docs: see site/index.html"
 
 $(PEERS)/.ready:
 	@$(PYTHON) -m venv $(PEERS)
@@ -103,4 +109,4 @@ peers: $(PEERS)/.ready
 	@echo "peers: $(PEERS) is ready"
 
 clean:
-	rm -rf $(VENV) $(PEERS) results
+	rm -rf $(VENV) $(PEERS) results site

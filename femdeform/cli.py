@@ -24,11 +24,13 @@ examples:
   femdeform check scenes/rubber-mount.yaml
   femdeform run scenes/rubber-mount.yaml --out results/mount
   mpiexec -n 2 femdeform run scenes/rubber-mount.yaml
+  femdeform batch study.yaml --jobs 4
   femdeform view results/mount --png mount.png
   femdeform report results/mount
 
 exit codes:
   0 done    1 verification or expectation failed    2 bad input    3 not converged    4 environment
+  70 a bug in femdeform    130 interrupted
 """
 
 
@@ -44,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     -------
     int
         Exit code: 0 done, 1 verification or expectation failed, 2 bad input, 3 not converged, 4 environment,
-        130 interrupted.
+        70 a bug in femdeform, 130 interrupted.
     """
     for stream in (sys.stdout, sys.stderr):
         # Text of a scene may hold what a terminal's encoding lacks; that must not end a run.
@@ -80,8 +82,41 @@ def _execute(argv: Sequence[str] | None) -> int:
         return _INTERRUPTED
     except BrokenPipeError:
         # The reader of our output has gone (`femdeform schema | head`); Python would complain again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return _ENVIRONMENT
+    except Exception as error:
+        return _explain(error)
+
+
+def _explain(error: Exception) -> int:
+    """Say what an error other than our own means, with the traceback if it is a bug; return the exit code."""
+    import traceback
+
+    from femdeform.run.atomic import output_error
+    from femdeform.run.failure import BUG_NOTE, exit_code, expected_error
+
+    known = expected_error(error)
+    if isinstance(error, OSError) and error.filename is None and not _can_print():
+        _drop_output()
+        known = output_error("to the standard output", error)
+    if known is not None:
+        _complain(known)
+    elif _is_first_rank():
+        traceback.print_exception(error)
+        print(BUG_NOTE, file=sys.stderr, flush=True)
+    return exit_code(error)
+
+
+def _can_print() -> bool:
+    try:
+        print(flush=True)  # what failed before is no longer in the buffer: it takes something to fail again
+    except OSError:
+        return False
+    return True
+
+
+def _drop_output() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(error: FemdeformError) -> None:
@@ -146,7 +181,9 @@ def build_parser() -> argparse.ArgumentParser:
     run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (YAML)")
     run.add_argument("--out", type=Path, metavar="DIR", help="result folder (default: results/<name of the scene>)")
     _add_set(run)
-    run.add_argument("--resume", action="store_true", help="go on from the result folder's checkpoint")
+    start = run.add_mutually_exclusive_group()
+    start.add_argument("--resume", action="store_true", help="go on from the result folder's checkpoint")
+    start.add_argument("--overwrite", action="store_true", help="replace a result that lies in the folder")
     run.add_argument("--trace", action="store_true", help="write iterations.csv, one row an iteration")
     run.add_argument(
         "--threads",
@@ -155,6 +192,15 @@ def build_parser() -> argparse.ArgumentParser:
         help="threads of the kernels (default: cores divided by ranks)",
     )
     run.add_argument("--quiet", action="store_true", help="no progress and no notices")
+
+    batch = add("batch", _batch, "make all runs of a study, some at a time", _BATCH_EPILOG)
+    batch.add_argument("study", type=Path, metavar="STUDY", help="study file (YAML)")
+    batch.add_argument(
+        "--jobs", type=_positive, metavar="N", help="runs at a time (default: one for each core, not under mpiexec)"
+    )
+    batch.add_argument("--out", type=Path, metavar="DIR", help="folder of the batch (default: results/<study>)")
+    batch.add_argument("--retry", action="store_true", help="make failed runs again, from their start")
+    batch.add_argument("--quiet", action="store_true", help="no progress and no notices")
 
     view = add("view", _view, "draw a result, without a display if need be", _VIEW_EPILOG)
     view.add_argument("result", type=Path, metavar="RESULT", help="result folder")
@@ -173,17 +219,59 @@ def build_parser() -> argparse.ArgumentParser:
     report.add_argument("--out", type=Path, metavar="FILE", help="page to write (default: in the result folder)")
     report.add_argument("--plots", action="store_true", help="also write plots/*.png into the result folder")
 
+    compare = add("compare", _compare, "compare methods or options on one scene at equal budget", _COMPARE_EPILOG)
+    compare.add_argument("scene", type=Path, metavar="SCENE", help="scene file (YAML)")
+    compare.add_argument("--methods", metavar="A,B,C", help="methods to compare, with the scene's options or defaults")
+    compare.add_argument(
+        "--variant",
+        dest="variants",
+        action="append",
+        default=[],
+        metavar="'LABEL: KEY=VALUE ...'",
+        help="options of solver or linear_solver to compare; may be given several times",
+    )
+    budget = compare.add_mutually_exclusive_group(required=True)
+    budget.add_argument("--iterations", type=_positive, metavar="N", help="budget of a step in iterations")
+    budget.add_argument("--seconds", type=float, metavar="S", help="budget of a step in seconds")
+    compare.add_argument("--steps", type=_positive, default=1, metavar="M", help="steps to compare (default: 1)")
+    compare.add_argument(
+        "--start-step",
+        type=int,
+        default=0,
+        metavar="K",
+        help="start from step K of the converged reference (default: 0, the initial state)",
+    )
+    compare.add_argument(
+        "--repeat",
+        type=_positive,
+        default=1,
+        metavar="R",
+        help="run each R times and report the run of median length (default: 1)",
+    )
+    compare.add_argument("--out", type=Path, metavar="DIR", help="folder (default: results/compare-<scene's name>)")
+    _add_set(compare)
+    compare.add_argument("--threads", type=_positive, metavar="N", help="threads of the kernels (default: cores)")
+    compare.add_argument("--quiet", action="store_true", help="no progress and no notices")
+
     mesh = add("mesh", _mesh, "make a mesh by a recipe, or describe a mesh file", _MESH_EPILOG)
     mesh.add_argument("recipe", nargs="?", metavar="RECIPE", help="name of a recipe, such as block or rubber_mount")
     mesh.add_argument("--info", type=Path, metavar="FILE", help="describe a mesh file instead")
     mesh.add_argument("--out", type=Path, metavar="FILE", help="mesh file to write; the ending says which format")
     _add_set(mesh)
 
+    verify = add("verify", _verify, "judge errors, observed rates and published values of cases", _VERIFY_EPILOG)
+    verify.add_argument("case", nargs="*", metavar="CASE", help="name of a case, or a folder of yours (default: all)")
+    verify.add_argument("--full", action="store_true", help="all levels of all studies, not the coarse end only")
+    verify.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: results/verify)")
+    verify.add_argument("--list", action="store_true", help="print the cases and leave")
+    verify.add_argument("--quiet", action="store_true", help="no progress and no tables, the last line only")
+
     bench = add("bench", _bench, "run the benchmarks", _BENCH_EPILOG)
     bench.add_argument("name", nargs="*", metavar="NAME", help="benchmark (default: all)")
     bench.add_argument("--out", type=Path, metavar="DIR", help="folder for the tables")
 
-    add("schema", _schema, "print the JSON schema of scene files, for editors", _SCHEMA_EPILOG)
+    schema = add("schema", _schema, "print the JSON schema of scene files, for editors", _SCHEMA_EPILOG)
+    schema.add_argument("--markdown", action="store_true", help="print the reference of all keys as Markdown instead")
     add("info", _info, "print versions, PETSc packages, threads and optional parts", "")
     return parser
 
@@ -245,21 +333,52 @@ examples:
   femdeform run scene.yaml --out results/soft --set bodies.beam.material.youngs_modulus=1e5
   femdeform run scene.yaml --set conditions[1].rate=2 --set linear_solver.preset=newton-gamg
   femdeform run scene.yaml --resume
+  femdeform run scene.yaml --overwrite
   mpiexec -n 4 femdeform run scene.yaml
 """
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from femdeform.run.runner import run_scene
+    from femdeform.run.interrupts import answered_in_time
 
-    return run_scene(
-        arguments.scene,
+    with answered_in_time():
+        from femdeform.run.runner import run_scene
+
+        return run_scene(
+            arguments.scene,
+            out=arguments.out,
+            overrides=arguments.overrides,
+            resume=arguments.resume,
+            overwrite=arguments.overwrite,
+            trace=arguments.trace,
+            threads=arguments.threads,
+            quiet=arguments.quiet,
+        )
+
+
+_BATCH_EPILOG = """\
+Finished runs are kept, interrupted ones go on; the same command may be given again at any time. The folder gets
+index.csv, index.html and a result folder for each run.
+
+examples:
+  femdeform batch study.yaml
+  femdeform batch study.yaml --jobs 4 --out results/study
+  femdeform batch study.yaml --retry
+  mpiexec -n 9 femdeform batch study.yaml
+"""
+
+
+def _batch(arguments: argparse.Namespace) -> int:
+    from femdeform.post.batch_page import BatchPage
+    from femdeform.run.batch import run_batch
+
+    return run_batch(
+        arguments.study,
+        jobs=arguments.jobs,
         out=arguments.out,
-        overrides=arguments.overrides,
-        resume=arguments.resume,
-        trace=arguments.trace,
-        threads=arguments.threads,
+        retry=arguments.retry,
         quiet=arguments.quiet,
+        page=BatchPage(),
     )
 
 
@@ -304,6 +423,39 @@ def _report(arguments: argparse.Namespace) -> int:
     return 0
 
 
+_COMPARE_EPILOG = """\
+Every variant gets the same start and the same budget for each step. One residual judges them all, and the
+distance to a converged reference. Needs one process, no mpiexec.
+
+examples:
+  femdeform compare scene.yaml --methods projected_newton --variant "exact: solver.hessian=exact" --iterations 10
+  femdeform compare scene.yaml --variant "lu: linear_solver.preset=newton-mumps" \\
+      --variant "amg: linear_solver.preset=newton-gamg" --seconds 0.5 --steps 5 --repeat 3
+"""
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from femdeform.post.compare_command import compare_command
+    from femdeform.run.compare import Plan
+
+    return compare_command(
+        arguments.scene,
+        Plan(
+            iterations=arguments.iterations,
+            seconds=arguments.seconds,
+            steps=arguments.steps,
+            start_step=arguments.start_step,
+            repeat=arguments.repeat,
+            threads=arguments.threads,
+        ),
+        methods=arguments.methods,
+        option_sets=arguments.variants,
+        overrides=arguments.overrides,
+        out=arguments.out,
+        quiet=arguments.quiet,
+    )
+
+
 _MESH_EPILOG = """\
 examples:
   femdeform mesh block --out block.vtu --set size=[1,0.2,0.2] --set cells=[40,8,8]
@@ -314,6 +466,7 @@ examples:
 
 def _mesh(arguments: argparse.Namespace) -> int:
     from femdeform import registry
+    from femdeform.run.interrupts import Interrupts, answered_in_time
     from femdeform.scene.overrides import parse_override
 
     settings: dict[str, object] = {}
@@ -326,8 +479,33 @@ def _mesh(arguments: argparse.Namespace) -> int:
     if faults:
         raise InputError(faults)
     command = registry.resolve(registry.MESH["command"])
-    print(command(arguments.recipe, settings, arguments.out, arguments.info))
+    with answered_in_time(), Interrupts():
+        print(command(arguments.recipe, settings, arguments.out, arguments.info))
     return 0
+
+
+_VERIFY_EPILOG = """\
+A case is a folder with a study.yaml, scenes and a README. The exit code is 1 if a judgement lies outside its band.
+The folder gets index.html, verify.json and, for every case, errors.csv, rates.json and plots.
+
+examples:
+  femdeform verify --list
+  femdeform verify
+  femdeform verify manufactured turek_hron --full --out results/evidence
+  femdeform verify my-cases/bracket
+"""
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    from femdeform import registry
+
+    code: int
+    if arguments.list:
+        code = registry.resolve(registry.VERIFY["list"])()
+    else:
+        command = registry.resolve(registry.VERIFY["run"])
+        code = command(arguments.case, arguments.full, arguments.out, arguments.quiet)
+    return code
 
 
 _BENCH_EPILOG = """\
@@ -345,21 +523,23 @@ def _bench(arguments: argparse.Namespace) -> int:
 
 
 _SCHEMA_EPILOG = """\
-example:
+examples:
   femdeform schema > femdeform.schema.json
+  femdeform schema --markdown > scene-reference.md
 
 With the line below as the first of a scene, editors that know the YAML language server check and complete it:
   # yaml-language-server: $schema=femdeform.schema.json
 """
 
 
-def _schema(_: argparse.Namespace) -> int:
+def _schema(arguments: argparse.Namespace) -> int:
     import json
 
     from femdeform.scene.export import json_schema
+    from femdeform.scene.reference import scene_markdown
 
     if _is_first_rank():
-        print(json.dumps(json_schema(), indent=2))
+        print(scene_markdown() if arguments.markdown else json.dumps(json_schema(), indent=2))
     return 0
 
 

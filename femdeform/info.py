@@ -12,7 +12,6 @@ _OPTIONAL = {
     "petsc4py": "parallel and iterative linear solvers",
     "mpi4py": "runs on several ranks",
     "torch": "learned linear solvers",
-    "ipctk": "contact between deformable bodies",
 }
 _PETSC_PACKAGES = ("mumps", "hypre", "superlu_dist", "ptscotch", "parmetis", "suitesparse")
 

@@ -26,12 +26,21 @@ MESH: dict[str, str] = {
     "build": "meshes.build:build_mesh",
     "check": "meshes.quality:check_mesh",
     "command": "meshes.info:mesh_command",
+    "embed": "meshes.embed:embed_points",
 }
+
+# Where bodies with incremental potential contact start.
+INITIAL_CONTACT = "femdeform.contact.ipc_setup:initial_findings"
 
 PARTITIONER = "solvers.linear.partition:partition_cells"
 
 BENCHMARKS: dict[str, str] = {
     "run": "verification.benchmarks.run:run_benchmarks",
+}
+
+VERIFY: dict[str, str] = {
+    "run": "verification.verify:verify_command",
+    "list": "verification.verify:list_cases",
 }
 
 _PRESET_PACKAGE = "solvers"

@@ -94,6 +94,8 @@ class StepProblem(Protocol):
     free: BoolArray
     force_scale: float
     value_magnitude: float  # sum of the sizes of the terms of the last `value`, which may cancel [J]
+    has_barriers: bool  # whether there is contact that nothing may penetrate: `max_step` then bounds steps
+    obstacles_push: bool  # whether obstacles move that nothing may penetrate
 
     def initial_guess(self, state: Any) -> FloatArray:
         """Positions of the last state with the prescribed values of this step."""
@@ -110,8 +112,11 @@ class StepProblem(Protocol):
     def hessian(self, x: FloatArray, project: bool) -> Any:
         """Hessian for a `LinearSolver`; positive semi-definite cell by cell if `project`."""
 
-    def hessian_times(self, x: FloatArray, step: FloatArray) -> FloatArray:
-        """Projected Hessian times a field, prescribed degrees of freedom included [N]."""
+    def hessian_times(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> FloatArray:
+        """Projected Hessian times a field, prescribed degrees of freedom included, and `drift` of the obstacles [N]."""
+
+    def place_obstacles(self, progress: float) -> None:
+        """Put moving obstacles where they are after that part of the step, from 0, where it begins, to 1."""
 
     def linearize_at(self, x: FloatArray) -> None:
         """Announce the state from which the next line search starts."""
@@ -125,8 +130,8 @@ class StepProblem(Protocol):
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone leaves [N]."""
 
-    def max_step(self, x: FloatArray, step: FloatArray) -> float:
-        """Largest admissible step length in (0, 1]."""
+    def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
+        """Largest admissible part of a step, in [0, 1], with `drift` of the obstacles' motion along the whole of it."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from femdeform.scene.mesh_schema import (
     FileMesh,
     FlagMesh,
     PlacedMesh,
+    RingMesh,
     RodMesh,
     RodNetMesh,
     Rotation,
@@ -72,6 +73,8 @@ def _build_recipe(source: PlacedMesh) -> Mesh:
         return structured.cook(source)
     if isinstance(source, FlagMesh):
         return structured.flag(source)
+    if isinstance(source, RingMesh):
+        return structured.ring(source)
     if isinstance(source, RodMesh):
         return structured.rod(source)
     if isinstance(source, RodNetMesh):

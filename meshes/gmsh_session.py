@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -80,6 +81,7 @@ def gmsh_session(name: str) -> Iterator[Any]:
         foreign = bool(gmsh.isInitialized())
         if not foreign:
             gmsh.initialize(readConfigFiles=False, interruptible=False)
+            _restore_signals()
         before = {option: gmsh.option.getNumber(option) for option in _OPTIONS} if foreign else {}
         current = gmsh.model.getCurrent() if foreign else ""
         _set_options(gmsh, _OPTIONS)
@@ -102,6 +104,16 @@ def gmsh_session(name: str) -> Iterator[Any]:
                 _set_options(gmsh, before)
             else:
                 gmsh.finalize()
+
+
+def _restore_signals() -> None:
+    """Install Python's handlers again: gmsh resets that of SIGTERM, and Python does not notice."""
+    if threading.current_thread() is not threading.main_thread():
+        return  # only the main thread may
+    for number in (signal.SIGTERM, signal.SIGINT):
+        handler = signal.getsignal(number)
+        if handler is not None:
+            signal.signal(number, handler)
 
 
 def _set_options(gmsh: Any, options: dict[str, float]) -> None:

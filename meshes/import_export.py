@@ -11,6 +11,7 @@ from femdeform.scene.mesh_schema import FileMesh
 from femdeform.types import Mesh
 from meshes.fill import fill_surface
 from meshes.parts import MeshParts, assemble
+from meshes.quality import check_points
 from meshes.readers import STEP_SUFFIXES, as_plane, check_exists, read_parts_of, read_step
 from meshes.writers import write_mesh
 
@@ -49,7 +50,9 @@ def import_mesh(source: FileMesh, base_dir: Path) -> tuple[Mesh, list[str]]:
         parts = read_step(path, name, source.element_size, source.scale)
     else:
         parts = read_parts_of(path, name)
-    points = parts.points * source.scale
+    with np.errstate(over="ignore"):  # what is then infinite is reported
+        points = parts.points * source.scale
+    check_points(points, name)
     if source.dim == 2:
         points = as_plane(points, name)
     elif source.dim == 3 and points.shape[1] == 2:

@@ -26,6 +26,8 @@ from meshes.boundary import (
 # the rounding of its coordinates can make of an exactly flat one.
 ZERO_MEASURE = 1e-13
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
+# Farther away is no place [m], and the volumes of cells there are out of range.
+LARGEST = 1e30
 # Cells below this quality are reported, not refused.
 POOR_QUALITY = 1e-2
 
@@ -61,6 +63,26 @@ def edge_statistics(mesh: Mesh) -> EdgeStatistics:
     """Shortest, mean and longest edge of a mesh."""
     lengths = np.sqrt(edge_lengths_squared(mesh.points, unique_edges(mesh.cells)))
     return EdgeStatistics(float(lengths.min()), float(lengths.mean()), float(lengths.max()))
+
+
+def check_points(points: FloatArray, name: str) -> None:
+    """Make sure that points can be computed with, before anything is.
+
+    Parameters
+    ----------
+    points : (n, dim) float64
+        Positions [m].
+    name : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    MeshError
+        Naming the first points, counted from 0, with a coordinate that is NaN, infinite or beyond `LARGEST`.
+    """
+    faults = _Faults(name)
+    _check_coordinates(points, faults)
+    faults.raise_if_any()
 
 
 def check_mesh(mesh: Mesh, name: str) -> tuple[Mesh, list[str]]:
@@ -99,8 +121,8 @@ def check_mesh(mesh: Mesh, name: str) -> tuple[Mesh, list[str]]:
     # What follows indexes by nodes and computes with points.
     faults.raise_if_any()
 
-    finite = np.all(np.isfinite(mesh.points), axis=1)
-    faults.list(~finite, "points that are not finite")
+    _check_coordinates(mesh.points, faults)
+    sound = not faults.found
     used = np.zeros(mesh.n_points, dtype=np.bool_)
     used[mesh.cells] = True
     hint = "; `drop_unreferenced: true` in the mesh block removes them"
@@ -109,7 +131,7 @@ def check_mesh(mesh: Mesh, name: str) -> tuple[Mesh, list[str]]:
     faults.list(repeated, f"{word} that use a node twice", mesh.cells)
     duplicate = _duplicates(mesh.cells)
     faults.list(duplicate, f"duplicate {word} (same nodes as an earlier one)", mesh.cells)
-    if np.all(finite):
+    if sound:
         flat = _flat(mesh) & ~repeated
         faults.list(flat, f"{_zero_word(mesh)} {word}", mesh.cells)
     if mesh.cells.shape[1] == mesh.dim + 1 and not np.any(duplicate):
@@ -131,21 +153,29 @@ class _Faults:
     def add(self, message: str) -> None:
         self.found.append(Fault(self.name, 0, "", message))
 
-    def list(self, wrong: BoolArray, what: str, cells: IntArray | None = None, hint: str = "") -> None:
-        """Add a fault for the marked cells or points, naming the first of them."""
+    def list(self, wrong: BoolArray, what: str, rows_of: IntArray | FloatArray | None = None, hint: str = "") -> None:
+        """Add a fault for the marked cells or points, naming the first of them with their nodes or coordinates."""
         rows = np.flatnonzero(wrong)
         if not len(rows):
             return
-        if cells is None:
+        if rows_of is None:
             shown = ", ".join(str(row) for row in rows[:_SHOWN])
         else:
-            shown = ", ".join(f"{row} (nodes {' '.join(map(str, cells[row]))})" for row in rows[:_SHOWN])
+            word = "nodes" if np.issubdtype(rows_of.dtype, np.integer) else "at"
+            shown = ", ".join(f"{row} ({word} {' '.join(map(str, rows_of[row]))})" for row in rows[:_SHOWN])
         more = ", ..." if len(rows) > _SHOWN else ""
         self.add(f"{len(rows)} {what}: {shown}{more}{hint}")
 
     def raise_if_any(self) -> None:
         if self.found:
             raise MeshError(self.found)
+
+
+def _check_coordinates(points: FloatArray, faults: _Faults) -> None:
+    finite = np.all(np.isfinite(points), axis=1)
+    faults.list(~finite, "points (counted from 0) that are not finite", points)
+    far = finite & ~np.all(np.abs(points) <= LARGEST, axis=1)
+    faults.list(far, f"points (counted from 0) farther away than {LARGEST:g} m", points)
 
 
 def _check_groups(mesh: Mesh, faults: _Faults) -> None:

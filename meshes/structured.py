@@ -1,4 +1,4 @@
-"""Structured recipes in plain numpy: block, cloth, Cook's panel, flag, rod, net of rods, sphere surface."""
+"""Structured recipes in plain numpy: block, cloth, Cook's panel, flag, ring, rod, net of rods, sphere surface."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from femdeform.scene.mesh_schema import (
     CookMesh,
     Diagonals,
     FlagMesh,
+    RingMesh,
     RodMesh,
     RodNetMesh,
     SphereSurfaceMesh,
@@ -169,6 +170,22 @@ def flag(source: FlagMesh) -> Mesh:
     nx, ny = source.cells
     tip = np.array([(ny // 2) * (nx + 1) + nx], dtype=np.int64)
     return Mesh(mesh.points, mesh.cells, "triangle", mesh.facet_groups, {}, {**mesh.node_groups, "tip": tip})
+
+
+def ring(source: RingMesh) -> Mesh:
+    """Sector of a ring or tube; its cuts are the facet groups ``start`` (on the x axis) and ``end``."""
+
+    def place(unit: FloatArray) -> FloatArray:
+        r = source.inner_radius + unit[:, 0] * (source.outer_radius - source.inner_radius)
+        angle = source.angle * unit[:, 1]
+        points = np.empty_like(unit)
+        points[:, 0], points[:, 1] = r * np.cos(angle), r * np.sin(angle)
+        if source.thickness is not None:
+            points[:, 2] = source.thickness * unit[:, 2]
+        return points
+
+    sides = (("inner", "outer"), ("start", "end"), SIDES[2])
+    return _structured(source.cells, place, source.split, source.diagonals, sides)
 
 
 def rod(source: RodMesh) -> Mesh:

@@ -7,9 +7,12 @@ files may hold lines, polygons, groups, and normals numbered on their own.
 from __future__ import annotations
 
 import re
+from contextlib import suppress
+from itertools import islice
 
 import numpy as np
 
+from femdeform.errors import MeshError
 from femdeform.types import FloatArray, IntArray
 from meshes.parts import PART_SIZES, MeshParts, NamedPart, PartKind, fault
 
@@ -52,7 +55,8 @@ def read_medit(
     MeshError
         If the file breaks off, has no vertices, or holds other cells.
     """
-    words = re.sub(r"#[^\n]*", "", text).split() if "#" in text else text.split()
+    text = re.sub(r"#[^\n]*", "", text) if "#" in text else text
+    words = text.split()
     dim = 3
     points: FloatArray | None = None
     cells: dict[PartKind, IntArray] = {}
@@ -64,7 +68,12 @@ def read_medit(
         chunk = words[at + 2 : at + 2 + count * width]
         if count < 0 or len(chunk) != count * width:
             raise fault(name, f"breaks off in section {words[at]} ({len(chunk) // width} of {count} rows)")
-        return count * width + 2, np.array(chunk, dtype=dtype).reshape(count, width)
+        rows: FloatArray | None = None
+        with suppress(ValueError, OverflowError):
+            rows = np.array(chunk, dtype=dtype)
+        if rows is None or not np.all(np.isfinite(rows)):
+            raise _bad_number(text, name, chunk, at + 2, dtype)
+        return count * width + 2, rows.reshape(count, width)
 
     while at < len(words):
         key = words[at].lower()
@@ -114,7 +123,11 @@ def read_obj(text: str, name: str) -> MeshParts:
         raise fault(name, "no vertices in it")
     if any(tag in ("curv", "surf") for tag, _ in tagged):
         raise fault(name, "free-form curves and surfaces cannot be read, only lines and faces")
-    points = np.array(vertices, dtype=np.float64)
+    points: FloatArray | None = None
+    with suppress(ValueError):
+        points = np.array(vertices, dtype=np.float64)
+    if points is None or points.shape[1:] != (3,) or not np.all(np.isfinite(points)):
+        raise _bad_vertex(text, name)
 
     tags = np.array([tag for tag, _ in tagged])
     seen = np.cumsum(tags == "v")
@@ -144,6 +157,39 @@ def read_obj(text: str, name: str) -> MeshParts:
         first = np.flatnonzero(within)
         cells["line"] = np.stack([corners[first], corners[first + 1]], axis=1)
     return MeshParts(points, cells, named, notices)
+
+
+def _bad_vertex(text: str, name: str) -> MeshError:
+    """Return the fault of the first vertex that is not three finite numbers."""
+    mark = "\x1f"  # white space that stands for the line ends inside a continued line
+    number = 1
+    for line in text.replace("\\\n", mark).splitlines():
+        tag, *words = line.split() or [""]
+        if tag == "v" and len(words) < 3:
+            return fault(name, f"line {number}: a vertex needs three coordinates, this one has {len(words)}")
+        for word in words[:3] if tag == "v" else ():
+            if not _is_number(word, np.float64):
+                return fault(name, f"line {number}: {_number_complaint(word, np.float64)}")
+        number += 1 + line.count(mark)
+    return fault(name, "vertices without three finite coordinates")
+
+
+def _bad_number(text: str, name: str, words: list[str], start: int, dtype: type) -> MeshError:
+    """Return the fault of the first word that is no number; `start` words come before them in the text."""
+    at, word = next((i, word) for i, word in enumerate(words) if not _is_number(word, dtype))
+    place = next(islice(re.finditer(r"\S+", text), start + at, None)).start()
+    return fault(name, f"line {text.count(chr(10), 0, place) + 1}: {_number_complaint(word, dtype)}")
+
+
+def _is_number(word: str, dtype: type) -> bool:
+    try:
+        return bool(np.isfinite(dtype(word)))
+    except (ValueError, OverflowError):
+        return False
+
+
+def _number_complaint(word: str, dtype: type) -> str:
+    return f"`{word[:40]}` is not a {'whole' if dtype is np.int64 else 'finite'} number"
 
 
 def _node_lists(rows: list[str], seen: IntArray) -> tuple[IntArray, IntArray]:

@@ -7,17 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-import numpy as np
-
 from femdeform.scene.scene_model import LineSearch
 from femdeform.step_problem import Budget, IterationObserver, StepProblem, StepResult
 from femdeform.types import FloatArray
 from solvers.linear.interface import LinearResult
+from solvers.support_motion import RELAXATIONS, carry_supports
 
 # Phi is a sum of terms that cancel. Where a step promises less than this fraction of them, the residual judges it,
 # because differences of Phi may be rounding; so short a way from the solution few backtracks make sense.
 _FLAT = 1e-8
 _FLAT_BACKTRACKS = 6
+# Near a saddle the residual grows on the way down. A promise above this fraction still shows in differences of Phi.
+_RESOLVED = 1e-12
 # A full step that reduces the residual at least to this part is taken for a neighbourhood of the solution. Clamped
 # Hessians converge linearly, under compression slowly: to ask for more would keep the exact one away for ever.
 _SETTLED = 0.95
@@ -59,17 +60,6 @@ class MatrixRule(Protocol):
 
 
 @dataclass(frozen=True)
-class _First:
-    """Where the iteration starts, and what the way there took: one iteration if the supports move, else none."""
-
-    x: FloatArray
-    objective: float  # before the motion was spread
-    length: float
-    iterations: int
-    linear_iterations: int
-
-
-@dataclass(frozen=True)
 class _Direction:
     """A search direction and how it was found."""
 
@@ -106,7 +96,13 @@ class Descent:
         """Minimise Phi from an accepted state; see `StepSolver.step`."""
         budget = Budget() if budget is None else budget
         self.rule.begin(problem, state.x)
-        first = self._first_iterate(problem, state)
+        first = carry_supports(
+            problem,
+            state,
+            lambda x, b: self.rule.solve(problem, x, b, "spread"),
+            lambda x: self._relax(problem, x),
+            budget,
+        )
         current = self._evaluate(problem, first.x)
         problem.settle_force_scale(first.x)
         previous_norm, previous_length = math.inf, 0.0
@@ -132,6 +128,8 @@ class Descent:
             }
             observe(row, current.x)
 
+        if first.failure:
+            return result(False, first.failure)
         if first.iterations:
             report(first.objective, first.length, first.linear_iterations, "spread")
         while True:
@@ -175,22 +173,21 @@ class Descent:
         residual = problem.gradient(x)
         return Iterate(x, residual, problem.residual_norm(residual))
 
-    def _first_iterate(self, problem: StepProblem, state: Any) -> _First:
-        """Positions that carry the prescribed motion of the step."""
-        guess = problem.initial_guess(state)
-        motion = guess - state.x
-        if problem.partition.max(float(np.abs(motion).max(initial=0.0))) == 0.0:
-            return _First(guess, math.nan, 0.0, 0, 0)
-        force = problem.full_gradient(state.x) + problem.hessian_times(state.x, motion)
-        answer = self.rule.solve(problem, state.x, -np.where(problem.free, force, 0.0), "spread")
-        problem.linearize_at(state.x)
-        objective = problem.value(guess)
-        if answer.converged:
-            spread = guess + np.where(problem.free, answer.x, 0.0)
-            value = problem.value(spread)
-            if math.isfinite(value) and not objective < value:
-                return _First(spread, objective, 1.0, 1, answer.iterations)
-        return _First(guess, objective, 0.0, 1, answer.iterations)
+    def _relax(self, problem: StepProblem, x: FloatArray) -> tuple[FloatArray, int, int]:
+        """A few iterations with the supports where they are: positions, iterations, linear iterations."""
+        current, linear_iterations = self._evaluate(problem, x), 0
+        for iteration in range(RELAXATIONS):
+            problem.linearize_at(current.x)
+            value, magnitude = problem.value(current.x), problem.value_magnitude
+            direction = self._direction(problem, current, "spread")
+            linear_iterations += direction.iterations
+            if not direction.usable:
+                return current.x, iteration, linear_iterations
+            _, found = self._line_search(problem, current, direction, value, magnitude)
+            if found is None:
+                return current.x, iteration, linear_iterations
+            current = found
+        return current.x, RELAXATIONS, linear_iterations
 
     def _direction(self, problem: StepProblem, current: Iterate, matrix: Matrix) -> _Direction:
         answer = self.rule.solve(problem, current.x, -current.residual, matrix)
@@ -212,7 +209,9 @@ class Descent:
     ) -> tuple[float, Iterate | None]:
         """Step length and the iterate there; None if no admissible length gives a decrease."""
         search = self.search
-        length = problem.max_step(current.x, direction.step)
+        length = longest = problem.max_step(current.x, direction.step)
+        if longest <= 0.0:
+            return 0.0, None
         is_flat = -direction.slope <= _FLAT * magnitude
         for _ in range(1 + (_FLAT_BACKTRACKS if is_flat else search.max_backtracks)):
             x = current.x + length * direction.step
@@ -223,6 +222,13 @@ class Descent:
             elif problem.value(x) <= value + search.armijo * length * direction.slope:
                 return length, self._evaluate(problem, x)
             length *= search.shrink
+        if is_flat and -direction.slope > _RESOLVED * magnitude:
+            length = longest
+            for _ in range(1 + _FLAT_BACKTRACKS):
+                x = current.x + length * direction.step
+                if problem.value(x) <= value + search.armijo * length * direction.slope:
+                    return length, self._evaluate(problem, x)
+                length *= search.shrink
         return length, None
 
 

@@ -46,7 +46,8 @@ class MixedVariational:
     -----------
     Laws of the principal stretches only: not the linear one. The converged scheme finds a stationary point near the
     last state, as any descent. A step of the alternating scheme ends where its work ends, whatever the residual is;
-    its fixed point is that of the energy only without `tikhonov`, or in its proximal form.
+    its fixed point is that of the energy only without `tikhonov`, or in its proximal form. It starts from a predictor
+    that contact does not bound, so it refuses incremental potential contact.
     """
 
     def __init__(self, options: MixedFEMSolver, linear_solver: LinearSolver) -> None:
@@ -65,7 +66,7 @@ class MixedVariational:
         Raises
         ------
         InputError
-            If a law is not a function of the principal stretches.
+            If a law is not a function of the principal stretches, or the alternating scheme meets barriers of contact.
         """
         if self._problem is not problem:
             self._set_up(problem)
@@ -79,6 +80,8 @@ class MixedVariational:
     def _set_up(self, problem: Any) -> None:
         options = self.options
         self.destroy()
+        if options.scheme == "alternating" and problem.has_barriers:
+            raise InputError("the alternating scheme of mixed_fem cannot start inside a barrier, as its predictor may")
         for term in problem.elastic:
             if not supports_codimension(term.group.law):
                 law = type(term.group.law).__name__

@@ -20,7 +20,8 @@ class ProjectedNewton:
     eigensystem, which makes dx a descent direction; with ``adaptive`` the exact Hessian takes over once full steps
     reduce the residual, for quadratic convergence, and is given up for the clamped one in any iteration where its
     direction does not descend. Prescribed positions enter by a first linearised step that spreads their motion over
-    the body instead of crushing the elements at the support.
+    the body instead of crushing the elements at the support (`solvers.support_motion`). Where contact bounds the
+    length of a step, backtracking starts from that bound.
 
     Parameters
     ----------

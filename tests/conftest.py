@@ -7,8 +7,10 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,16 +45,24 @@ def environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
     return {**inherited, "PYTHONPATH": path, **(extra or {})}
 
 
-@pytest.fixture
-def cli(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run ``femdeform ARGUMENTS`` as a process in `tmp_path`; keyword `extra` adds to its environment."""
+@pytest.fixture(scope="session")
+def child_environment() -> dict[str, str]:
+    """`environment`, for fixtures that outlive a test."""
+    return environment()
 
-    def run(*arguments: object, extra: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+
+@pytest.fixture
+def python(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run Python with the given arguments in `tmp_path`; keyword `extra` adds to its environment."""
+
+    def run(
+        *arguments: object, extra: Mapping[str, str] | None = None, folder: Path = tmp_path, **options: Any
+    ) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", "femdeform", *map(str, arguments)],
-            cwd=tmp_path,
+            [sys.executable, *map(str, arguments)],
+            **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options},
+            cwd=folder,
             env=environment(extra),
-            capture_output=True,
             text=True,
             timeout=240,
             check=False,
@@ -62,13 +72,25 @@ def cli(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Callable[..., subprocess.Popen[str]]:
+def cli(python: Callable[..., subprocess.CompletedProcess[str]]) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run ``femdeform ARGUMENTS`` as a process in `tmp_path`; keywords as for `python`."""
+    return partial(python, "-m", "femdeform")
+
+
+@pytest.fixture
+def start(start_python: Callable[..., subprocess.Popen[str]]) -> Callable[..., subprocess.Popen[str]]:
     """Start ``femdeform ARGUMENTS`` as a process in `tmp_path` without waiting for it."""
+    return partial(start_python, "-m", "femdeform")
+
+
+@pytest.fixture
+def start_python(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start Python with the given arguments in `tmp_path` without waiting for it; it is killed with the test."""
     started: list[subprocess.Popen[str]] = []
 
     def begin(*arguments: object) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [sys.executable, "-m", "femdeform", *map(str, arguments)],
+            [sys.executable, *map(str, arguments)],
             cwd=tmp_path,
             env=environment(),
             stdout=subprocess.PIPE,

@@ -1,1 +1,1 @@
-"""."""
+"""Verification: cases with known solutions, studies of them, benchmarks beside peers."""

@@ -4,6 +4,15 @@ The energy density is written down here once more, in sympy, and differentiated 
 nothing with the compiled laws they are to judge. With u(X) given, F = I + grad u and
 
     b_i = -dP_iJ/dX_J = -(d2Psi / dF_iJ dF_kL) d2u_k / dX_L dX_J.
+
+ARAP and the corotated laws depend on t = tr S = s1 + s2 (+ s3), S of the polar decomposition F = R S. No singular
+value is computed: t is the largest root of a polynomial whose coefficients are those of F,
+
+    2D:  t^2 = |F|^2 + 2 J
+    3D:  (t^2 - |F|^2)^2 = 4 (|cof F|^2 + 2 J t)
+
+(in 3D, t^2 - |F|^2 = 2 (s1 s2 + s2 s3 + s3 s1), the square of that sum is |cof F|^2 + 2 J t, and |cof F|^2, the sum
+of the squared minors, is (|F|^4 - |F^T F|^2) / 2). Derivatives of t follow from the implicit function theorem.
 """
 
 from __future__ import annotations
@@ -17,9 +26,6 @@ import numpy as np
 from femdeform.materials import lame_parameters
 from femdeform.types import FloatArray
 
-# Laws of the polar decomposition have an energy in closed form in two dimensions only, where tr S = sqrt(|F|^2 + 2 J).
-_POLAR = frozenset({"arap", "corotated", "fixed_corotated"})
-
 
 def coordinates(dim: int) -> tuple[Any, ...]:
     """Symbols x, y (and z) in which a displacement is to be written [m]."""
@@ -28,7 +34,7 @@ def coordinates(dim: int) -> tuple[Any, ...]:
     return tuple(sympy.symbols("x y z", real=True)[:dim])
 
 
-def symbolic_energy(law: str, F: Any, mu: Any, lmbda: Any) -> Any:
+def symbolic_energy(law: str, F: Any, trace: Any, mu: Any, lmbda: Any) -> Any:
     """Energy density of a law, up to a constant.
 
     Parameters
@@ -37,6 +43,8 @@ def symbolic_energy(law: str, F: Any, mu: Any, lmbda: Any) -> Any:
         Word of the law in a scene.
     F : sympy Matrix
         Deformation gradient, 2x2 (plane strain) or 3x3.
+    trace : sympy expression
+        tr S of the polar decomposition F = R S, see `trace_equation`.
     mu, lmbda : sympy expression or float
         Lame parameters at rest [Pa].
 
@@ -48,7 +56,7 @@ def symbolic_energy(law: str, F: Any, mu: Any, lmbda: Any) -> Any:
     Raises
     ------
     ValueError
-        If the law has no closed form in this dimension.
+        If there is no such law.
     """
     import sympy
 
@@ -71,27 +79,90 @@ def symbolic_energy(law: str, F: Any, mu: Any, lmbda: Any) -> Any:
         volume = lmbda + (sympy.Rational(5, 6) if d == 3 else sympy.Rational(2, 3)) * mu
         alpha = 1 + shear * sympy.Rational(d, d + 1) / volume
         return shear / 2 * (square - sympy.log(square + 1)) + volume / 2 * (J - alpha) ** 2
-    if law in _POLAR and d == 2:
-        trace = sympy.sqrt(square + 2 * J)  # tr S = |s1 + s2|
-        distance = square - 2 * trace + 2  # |F - R|^2
-        volumetric = {"arap": 0, "corotated": (trace - 2) ** 2, "fixed_corotated": (J - 1) ** 2}[law]
-        return mu * distance + lmbda / 2 * volumetric
-    raise ValueError(f"no closed form of {law} in {d} dimensions")
+    distance = square - 2 * trace + d  # |F - R|^2 = |S - I|^2
+    if law == "arap":
+        return mu * distance
+    if law == "corotated":
+        return mu * distance + lmbda / 2 * (trace - d) ** 2
+    if law == "fixed_corotated":
+        return mu * distance + lmbda / 2 * (J - 1) ** 2
+    raise ValueError(f"no manufactured solution for the law {law}")
+
+
+def trace_equation(F: Any, trace: Any) -> Any:
+    """Polynomial in `trace` whose largest root is tr S, see the text at the top of this module."""
+    square, J = sum(entry**2 for entry in F), F.det()
+    if F.rows == 2:
+        return trace**2 - square - 2 * J
+    minors = (square**2 - sum(entry**2 for entry in F.T * F)) / 2
+    return (trace**2 - square) ** 2 - 4 * (minors + 2 * J * trace)
 
 
 @lru_cache(maxsize=32)
-def _derivatives(law: str, dim: int) -> Callable[..., Any]:
-    """Numpy function (mu, lmbda, F_00, F_01, ...) -> list of stresses, then of tangents, row-major."""
+def _derivatives(law: str, dim: int) -> tuple[Callable[..., Any], bool]:
+    """Numpy function (mu, lmbda, tr S, F_00, F_01, ...) -> list of stresses, then of tangents, row-major.
+
+    The second value tells whether they depend on tr S.
+    """
     import sympy
 
-    symbols = sympy.symbols(f"F:{dim * dim}", real=True)
-    mu, lmbda = sympy.symbols("mu lmbda", positive=True)
-    energy = symbolic_energy(law, sympy.Matrix(dim, dim, symbols), mu, lmbda)
-    stress = [sympy.diff(energy, f) for f in symbols]
-    upper = {(i, j): sympy.diff(stress[i], symbols[j]) for i in range(dim * dim) for j in range(i, dim * dim)}
-    tangent = [upper[min(i, j), max(i, j)] for i in range(dim * dim) for j in range(dim * dim)]
-    function: Callable[..., Any] = sympy.lambdify((mu, lmbda, *symbols), stress + tangent, "numpy", cse=True)
-    return function
+    n = dim * dim
+    symbols = sympy.symbols(f"F:{n}", real=True)
+    trace, mu, lmbda = sympy.symbols("t mu lmbda", positive=True)
+    F = sympy.Matrix(dim, dim, symbols)
+    energy = symbolic_energy(law, F, trace, mu, lmbda)
+    equation = trace_equation(F, trace)
+    slope = sympy.diff(equation, trace)
+    of_trace = [-sympy.diff(equation, f) / slope for f in symbols]
+
+    def total(expression: Any, k: int) -> Any:
+        return sympy.diff(expression, symbols[k]) + sympy.diff(expression, trace) * of_trace[k]
+
+    stress = [total(energy, k) for k in range(n)]
+    upper = {(i, j): total(stress[i], j) for i in range(n) for j in range(i, n)}
+    tangent = [upper[min(i, j), max(i, j)] for i in range(n) for j in range(n)]
+    function: Callable[..., Any] = sympy.lambdify((mu, lmbda, trace, *symbols), stress + tangent, "numpy", cse=True)
+    return function, bool(energy.has(trace))
+
+
+def polar_trace(F: FloatArray) -> FloatArray:
+    """Trace of the stretch S of F = R S, by Newton's method for the largest root of `trace_equation`.
+
+    Parameters
+    ----------
+    F : (n, dim, dim) float64
+        Deformation gradients [-].
+
+    Returns
+    -------
+    (n,) float64
+        s1 + s2 (+ s3), the last one with the sign of det F [-].
+
+    Raises
+    ------
+    ValueError
+        Where the rotation is not unique: two singular values that cancel, after an inversion.
+    """
+    d = F.shape[1]
+    square, J = np.einsum("nij,nij->n", F, F), np.linalg.det(F)
+    # All roots are real (s1 + s2 + s3 with an even number of signs changed): from their upper bound Newton falls
+    # to the largest one without passing it.
+    t = np.sqrt(d * square)
+    C = np.einsum("nki,nkj->nij", F, F)
+    minors = 0.5 * (square**2 - np.einsum("nij,nij->n", C, C))
+    for _ in range(100):
+        if d == 2:
+            value, slope = t**2 - square - 2.0 * J, 2.0 * t
+        else:
+            excess = t**2 - square
+            value, slope = excess**2 - 4.0 * (minors + 2.0 * J * t), 4.0 * t * excess - 8.0 * J
+        if np.any(slope <= 1e-6 * np.sqrt(square) ** (2 * d - 3)):  # a double root, as far as rounding can tell
+            break
+        step = value / slope
+        t = t - step
+        if np.all(np.abs(step) <= 1e-14 * t):
+            return np.asarray(t)
+    raise ValueError("the polar decomposition is not unique at some point: the displacement inverts the body")
 
 
 def _stack(values: Sequence[Any], n: int, shape: tuple[int, ...]) -> FloatArray:
@@ -117,7 +188,7 @@ class ManufacturedSolution:
     Raises
     ------
     ValueError
-        If the law has no closed form in this dimension.
+        If there is no such law.
 
     References
     ----------
@@ -125,7 +196,7 @@ class ManufacturedSolution:
 
     Limitations
     -----------
-    ARAP and the corotated laws in two dimensions only.
+    For ARAP and the corotated laws the displacement may not invert the body so far that its rotation is not unique.
     """
 
     def __init__(
@@ -142,7 +213,7 @@ class ManufacturedSolution:
         self._u = sympy.lambdify(X, list(displacement), "numpy")
         self._gradient = sympy.lambdify(X, gradient, "numpy", cse=True)
         self._second = sympy.lambdify(X, second, "numpy", cse=True)
-        self._law = _derivatives(law, self.dim)
+        self._law, self._polar = _derivatives(law, self.dim)
 
     def displacement(self, points: FloatArray) -> FloatArray:
         """Displacement (n, dim) at points (n, dim) [m]."""
@@ -170,5 +241,6 @@ class ManufacturedSolution:
     def _evaluate(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         d, n = self.dim, len(points)
         F = self.gradient(points) + np.eye(d)
-        values = self._law(self.mu, self.lmbda, *F.reshape(n, d * d).T)
+        trace = polar_trace(F) if self._polar else 0.0
+        values = self._law(self.mu, self.lmbda, trace, *F.reshape(n, d * d).T)
         return _stack(values[: d * d], n, (d, d)), _stack(values[d * d :], n, (d, d, d, d))

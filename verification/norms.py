@@ -18,7 +18,11 @@ from femdeform.types import FloatArray, IntArray
 Field = Callable[[FloatArray], FloatArray]
 
 # Mid-edge nodes follow the vertices, in VTK's order.
-_EDGES = {2: ((0, 1), (1, 2), (0, 2)), 3: ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))}
+_EDGES = {
+    1: ((0, 1),),
+    2: ((0, 1), (1, 2), (0, 2)),
+    3: ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)),
+}
 
 
 @dataclass(frozen=True)
@@ -47,12 +51,50 @@ class ShapeTable:
 
     def integrate_load(self, density: Field, n_nodes: int) -> FloatArray:
         """Nodal forces (n_nodes, dim) [N] of a force per reference volume [N/m^dim]."""
-        n_cells, n_q, dim = self.points.shape
-        force = density(self.points.reshape(-1, dim)).reshape(n_cells, n_q, dim)
-        of_cells = np.einsum("eq,qa,eqc->eac", self.weights, self.values, force, optimize=True)
-        load = np.zeros((n_nodes, dim))
-        np.add.at(load, self.cells, of_cells)
-        return load
+        force = density(self.points.reshape(-1, self.points.shape[2])).reshape(self.points.shape)
+        return _assemble_load(self.weights, self.values, force, self.cells, n_nodes)
+
+
+@dataclass(frozen=True)
+class FacetTable:
+    """Shape functions of flat boundary facets at the points of a rule.
+
+    Attributes
+    ----------
+    points : (n_facets, n_q, dim) float64
+        Quadrature points [m].
+    weights : (n_facets, n_q) float64
+        Weights times area [m^(dim - 1)].
+    values : (n_q, n_local) float64
+        Shape functions [-], the same on every facet.
+    normals : (n_facets, dim) float64
+        Unit normals, outward [-].
+    facets : (n_facets, n_local) int64
+        Nodes of the facets.
+    """
+
+    points: FloatArray
+    weights: FloatArray
+    values: FloatArray
+    normals: FloatArray
+    facets: IntArray
+
+    def integrate_load(self, traction: Callable[[FloatArray, FloatArray], FloatArray], n_nodes: int) -> FloatArray:
+        """Nodal forces (n_nodes, dim) [N] of a traction, a function of points and normals (n, dim) [N/m^(dim-1)]."""
+        dim = self.points.shape[2]
+        normals = np.broadcast_to(self.normals[:, None], self.points.shape).reshape(-1, dim)
+        force = traction(self.points.reshape(-1, dim), normals).reshape(self.points.shape)
+        return _assemble_load(self.weights, self.values, force, self.facets, n_nodes)
+
+
+def _assemble_load(
+    weights: FloatArray, values: FloatArray, force: FloatArray, nodes: IntArray, n_nodes: int
+) -> FloatArray:
+    """Nodal forces (n_nodes, dim) of a force density at quadrature points."""
+    of_elements = np.einsum("eq,qa,eqc->eac", weights, values, force, optimize=True)
+    load = np.zeros((n_nodes, force.shape[2]))
+    np.add.at(load, nodes, of_elements)
+    return load
 
 
 @dataclass(frozen=True)
@@ -105,12 +147,47 @@ def tabulate(points: FloatArray, cells: IntArray, degree: int) -> ShapeTable:
     )
 
 
+def tabulate_facets(points: FloatArray, facets: IntArray, degree: int) -> FacetTable:
+    """Evaluate shape functions on boundary facets with a rule that is exact for polynomials of a degree.
+
+    Parameters
+    ----------
+    points : (n_nodes, dim) float64
+        Reference positions of all nodes [m].
+    facets : (n_facets, n_local) int64
+        dim corners a facet, oriented outward; for P2 the mid-edge nodes after them, in VTK's order.
+    degree : int
+        Degree that the rule integrates exactly.
+
+    Returns
+    -------
+    FacetTable
+    """
+    dim = points.shape[1]
+    barycentric, weights = _rule(dim - 1, degree)
+    corners = points[facets[:, :dim]]
+    sides = corners[:, 1:] - corners[:, :1]
+    if dim == 2:
+        normals = np.stack([sides[:, 0, 1], -sides[:, 0, 0]], axis=1)
+    else:
+        normals = np.cross(sides[:, 0], sides[:, 1])
+    # The rule of the unit triangle has weights that add up to a half, the normal the length of the parallelogram.
+    size = np.linalg.norm(normals, axis=1)
+    return FacetTable(
+        points=np.einsum("qk,ekc->eqc", barycentric, corners),
+        weights=size[:, None] * weights,
+        values=_shapes(barycentric, dim - 1, 1 if facets.shape[1] == dim else 2)[0],
+        normals=normals / size[:, None],
+        facets=facets,
+    )
+
+
 def _rule(dim: int, degree: int) -> tuple[FloatArray, FloatArray]:
     """Barycentric points (n_q, dim + 1) and weights (n_q,) on the unit simplex."""
     from skfem.quadrature import get_quadrature
-    from skfem.refdom import RefTet, RefTri
+    from skfem.refdom import RefLine, RefTet, RefTri
 
-    points, weights = get_quadrature(RefTri if dim == 2 else RefTet, degree)
+    points, weights = get_quadrature({1: RefLine, 2: RefTri, 3: RefTet}[dim], degree)
     return np.concatenate([1.0 - points.sum(axis=0, keepdims=True), points]).T, np.asarray(weights)
 
 

@@ -6,20 +6,14 @@ A scene's `fixed` conditions say which nodes, and which of their components, are
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-
-from femdeform.errors import NotConvergedError
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import Discretization
-from femdeform.fem.incremental_potential import IncrementalPotential, State
-from femdeform.run.setup import Simulation, build_simulation
-from femdeform.run.time_loop import StepControl, run_time_loop
+from femdeform.fem.node_sets import NodeSets
 from femdeform.scene import schema
-from femdeform.types import FloatArray, IntArray, Mesh
-from verification.norms import Field, ShapeTable, tabulate
+from femdeform.types import BoolArray, FloatArray, Mesh
+from verification.manufactured import ManufacturedSolution
+from verification.norms import Field, ShapeTable, tabulate, tabulate_facets
 
 
 class PrescribedField(Conditions):
@@ -45,102 +39,61 @@ class PrescribedField(Conditions):
         super().__init__(scene, meshes, discretization)
         self._points = discretization.points
         self._target = displacement(discretization.points)
+        self._load: FloatArray | None = None
+
+    def add_load(self, load: FloatArray) -> None:
+        """Add nodal forces (n_local, dim) at the end of the run [N]; they too grow linearly over it."""
+        self._load = load if self._load is None else self._load + load
 
     def set_prescribed(self, time: float, x: FloatArray) -> None:
         """Write the prescribed positions at a time into `x` (n_local, dim)."""
         x[~self.free] = (self._points + time / self._end * self._target)[~self.free]
 
+    def dead_load(self, time: float, out: FloatArray) -> None:
+        """Write the dead loads at a time into `out` (n_local, dim) [N]."""
+        super().dead_load(time, out)
+        if self._load is not None:
+            out += time / self._end * self._load
 
-@dataclass(frozen=True)
-class SolvedField:
-    """A quasistatic problem at its end.
 
-    Attributes
+def manufactured_load(
+    discretization: Discretization,
+    meshes: Mapping[str, Mesh],
+    free: BoolArray,
+    solution: ManufacturedSolution,
+    degree: int = 6,
+) -> FloatArray:
+    """Nodal forces that keep the only body of a problem in a manufactured solution.
+
+    Parameters
     ----------
-    simulation : Simulation
-        The scene, wired; its own problem is the one of `problem`.
-    problem : IncrementalPotential
-        With the loads of the end.
-    state : State
+    discretization : Discretization
+        The problem.
+    meshes : mapping of str to Mesh
+        Its only mesh.
+    free : (n_local, dim) bool
+        Degrees of freedom that are solved for. Boundary facets that touch one get the traction of the solution.
+    solution : ManufacturedSolution
+        What the body is to be kept in.
+    degree : int
+        Degree of the rule that integrates the forces.
+
+    Returns
+    -------
+    (n_local, dim) float64
+        [N]
     """
-
-    simulation: Simulation
-    problem: IncrementalPotential
-    state: State
-
-    @property
-    def displacement(self) -> FloatArray:
-        """Nodal displacements (n_nodes, dim) [m]."""
-        return np.asarray(self.state.x - self.simulation.discretization.points)
-
-    def table(self, degree: int) -> ShapeTable:
-        """Shape functions of the only body of the scene at the points of a rule."""
-        return body_table(self.simulation.discretization, degree)
-
-    def reaction(self, nodes: IntArray) -> FloatArray:
-        """Total force that the supports exert on some nodes, (dim,) [N]."""
-        return np.asarray(self.problem.full_gradient(self.state.x)[nodes].sum(axis=0))
+    ((name, mesh),) = meshes.items()
+    load = body_table(discretization, degree).integrate_load(solution.body_force, discretization.n_nodes)
+    facets = NodeSets(meshes, discretization.bodies).facet_nodes(name, mesh.facet_groups["boundary"])
+    open_facets = facets[free[facets].any(axis=(1, 2))]
+    if open_facets.size:
+        table = tabulate_facets(discretization.points, open_facets, degree)
+        load += table.integrate_load(solution.traction, discretization.n_nodes)
+    return load
 
 
 def body_table(discretization: Discretization, degree: int) -> ShapeTable:
     """Shape functions of a problem of one body at the points of a rule of a degree."""
     (body,) = discretization.bodies.values()
     return tabulate(discretization.points, body.connectivity, degree)
-
-
-def parse_scene(data: Mapping[str, Any]) -> schema.DeformableScene:
-    """Validate a scene given as plain data, as a YAML file would hold it."""
-    return schema.DeformableScene.model_validate(dict(data))
-
-
-def solve_prescribed(
-    scene: schema.DeformableScene,
-    meshes: Mapping[str, Mesh],
-    displacement: Field,
-    body_force: Field | None = None,
-    degree: int = 6,
-) -> SolvedField:
-    """Solve a quasistatic scene of one body with a field on its held degrees of freedom.
-
-    Parameters
-    ----------
-    scene : DeformableScene
-        Quasistatic, with one body and `fixed` conditions.
-    meshes : mapping of str to Mesh
-        The body's mesh, in place of the one that the scene names.
-    displacement : callable
-        See `PrescribedField`.
-    body_force : callable, optional
-        Force per reference volume (n, dim) at points (n, dim) [N/m^dim], at full size in every step.
-    degree : int
-        Degree of the rule that integrates the body force.
-
-    Returns
-    -------
-    SolvedField
-
-    Raises
-    ------
-    NotConvergedError
-        If a step does not converge.
-    """
-    simulation = build_simulation(scene, meshes)
-    discretization = simulation.discretization
-    conditions = PrescribedField(scene, meshes, discretization, displacement)
-    load = None
-    if body_force is not None:
-        load = body_table(discretization, degree).integrate_load(body_force, discretization.n_nodes)
-    problem = IncrementalPotential(discretization, conditions, True, (), load)
-    outcome = run_time_loop(
-        problem,
-        simulation.solver,
-        StepControl(scene.time.dt, scene.time.end, scene.time.dt, halve=False),
-        simulation.state,
-        on_accept=lambda *_: None,
-        on_failure=lambda *_: None,
-        observe=lambda _: None,
-    )
-    if not outcome.finished:
-        raise NotConvergedError(outcome.reason)
-    simulation.linear_solver.destroy()
-    return SolvedField(simulation, problem, outcome.state)

@@ -13,6 +13,8 @@ from femdeform.types import FloatArray
 class Shape(Protocol):
     """A rigid shape; positive distances are free space."""
 
+    concave: bool  # whether the distance is concave along lines (a bowl) rather than convex
+
     def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signed distance (n,) [m] of positions (n, dim) and its unit gradient (n, dim)."""
 
@@ -22,6 +24,8 @@ class Shape(Protocol):
 
 class Plane:
     """Half space; free on the side of the normal."""
+
+    concave = False
 
     def __init__(self, point: FloatArray, normal: FloatArray) -> None:
         self.point = point
@@ -43,6 +47,7 @@ class Sphere:
         self.center = center
         self.radius = radius
         self.sign = -1.0 if inside else 1.0
+        self.concave = inside
 
     def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signed distance and normal; at the very centre the normal is the last axis."""
@@ -68,6 +73,7 @@ class Box:
         self.center = 0.5 * (lowest + highest)
         self.half = 0.5 * (highest - lowest)
         self.sign = -1.0 if inside else 1.0
+        self.concave = inside
 
     def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signed distance and normal of the nearest face, edge or corner."""
@@ -104,3 +110,12 @@ def make_shape(obstacle: schema.Obstacle) -> Shape:
     if isinstance(obstacle, schema.SphereObstacle):
         return Sphere(np.array(obstacle.center), obstacle.radius, obstacle.inside)
     return Box(np.array(obstacle.min), np.array(obstacle.max), obstacle.inside)
+
+
+def smooth_parts(obstacle: schema.Obstacle) -> list[Shape]:
+    """Shapes with smooth distances whose free spaces together are that of an obstacle: a container is its walls."""
+    if not isinstance(obstacle, schema.BoxObstacle) or not obstacle.inside:
+        return [make_shape(obstacle)]
+    inward = np.eye(len(obstacle.min))
+    lower = [Plane(np.array(obstacle.min), normal) for normal in inward]
+    return [*lower, *(Plane(np.array(obstacle.max), -normal) for normal in inward)]

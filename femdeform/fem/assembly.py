@@ -1,4 +1,9 @@
-"""The sparsity of the global Hessian, and which cell adds to which of its blocks; computed once for a mesh."""
+"""The sparsity of the global Hessian, and which cell or contact adds to which of its blocks.
+
+The pattern of the cells is computed once for a mesh. Contact between bodies couples further nodes; each set of them
+makes a new pattern object out of the first (`BlockPattern.extended`), by whose identity a linear solver knows that
+the sparsity has changed.
+"""
 
 from __future__ import annotations
 
@@ -52,6 +57,8 @@ class SparseHessian:
         Degrees of freedom that are not prescribed; the rows and columns of the others are diagonal.
     partition : Partition
         Ownership of the nodes.
+    pattern : object
+        Identity of the sparsity: as long as it is the same object, `row_offsets` and `columns` are the same.
     """
 
     row_offsets: np.ndarray
@@ -60,6 +67,7 @@ class SparseHessian:
     points: FloatArray
     free: np.ndarray
     partition: Partition
+    pattern: object
 
     @property
     def dim(self) -> int:
@@ -82,7 +90,10 @@ class BlockPattern:
     first_slot : list of int
         First block slot of each group; cell e of group g starts at ``first_slot[g] + e n_pairs``.
     n_slots : int
-        Number of blocks that the cells write: the upper triangle of each cell's matrix.
+        Number of blocks that the cells write: the upper triangle of each cell's matrix; in an extended pattern with
+        one more for each pair, after those of the cells.
+    pairs : (n_pairs,) int64
+        Pairs of nodes of an extended pattern, as ``row n_nodes + column``, sorted.
     """
 
     def __init__(self, cells: Sequence[np.ndarray], n_nodes: int, dim: int) -> None:
@@ -104,6 +115,7 @@ class BlockPattern:
             slots += [2 * number, 2 * number[off] + 1]
             first += number.size
         self.n_slots = first
+        self.pairs: IntArray = np.empty(0, dtype=np.int64)
         # Every node has a diagonal block, also one that no cell of this rank touches.
         everyone = np.arange(n_nodes, dtype=np.int64)
         key = np.concatenate([r * n_nodes + c for r, c in zip(rows, columns, strict=True)] + [everyone * (n_nodes + 1)])
@@ -120,6 +132,48 @@ class BlockPattern:
         self.entries = entries[entries >= 0].astype(np.int32 if first < 2**30 else np.int64)
         self.offsets = _offsets(block, unique.size)
         self._expand()
+
+    def extended(self, pairs: IntArray) -> BlockPattern:
+        """Return this pattern with a block, and a slot of its own for it, for further pairs of nodes.
+
+        Parameters
+        ----------
+        pairs : (n_pairs,) int64
+            As ``row n_nodes + column`` with row < column, sorted, each once. Pairs that share a cell may be among them.
+
+        Returns
+        -------
+        BlockPattern
+            The slot of pair k is ``self.n_slots + k``.
+        """
+        n = self.n_nodes
+        mirrored = pairs % n * n + pairs // n
+        own = self.rows * n + self.columns
+        keys = np.union1d(own, np.concatenate([pairs, mirrored]))
+        old, upper, lower = (np.searchsorted(keys, some) for some in (own, pairs, mirrored))
+        counts = np.zeros(keys.size, dtype=np.int64)
+        held = np.diff(self.offsets)
+        counts[old] = held
+        counts[upper] += 1
+        counts[lower] += 1
+        first = self.n_slots
+        slots = 2 * (first + np.arange(pairs.size, dtype=np.int64))
+
+        new = object.__new__(BlockPattern)
+        new.dim, new.n_nodes, new.first_slot, new.pairs = self.dim, n, self.first_slot, pairs
+        new.n_slots = first + pairs.size
+        new.rows = keys // n
+        new.columns = (keys % n).astype(np.int32)
+        new.row_offsets = _offsets(new.rows, n)
+        new.offsets = np.concatenate([[0], np.cumsum(counts)]).astype(self.offsets.dtype)
+        new.entries = np.empty(new.offsets[-1], dtype=np.int32 if new.n_slots < 2**30 else np.int64)
+        # Cells come first in each block, then the pair.
+        place = np.repeat(new.offsets[old] - self.offsets[:-1], held) + np.arange(self.entries.size)
+        new.entries[place] = self.entries
+        new.entries[new.offsets[upper + 1] - 1] = slots
+        new.entries[new.offsets[lower + 1] - 1] = slots + 1
+        new._expand()
+        return new
 
     def _expand(self) -> None:
         """CSR structure over degrees of freedom: node by node, component by component."""

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from femdeform.contact.penalty import PenaltyContact
+from femdeform.contact.obstacle_barrier import ObstacleBarrier
+from femdeform.contact.terms import CouplingContact, NodeBlocks, NodeContact
 from femdeform.fem import kernels
 from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
 from femdeform.fem.conditions import Conditions
@@ -57,8 +58,10 @@ class IncrementalPotential:
     conditions : Conditions
     quasistatic : bool
         Leave inertia out.
-    contacts : sequence of PenaltyContact
+    contacts : sequence of NodeContact
         Contact with obstacles.
+    couplings : sequence of CouplingContact
+        Contact of bodies with one another, serial only.
 
     Attributes
     ----------
@@ -77,33 +80,40 @@ class IncrementalPotential:
         discretization: Discretization,
         conditions: Conditions,
         quasistatic: bool,
-        contacts: Sequence[PenaltyContact] = (),
-        body_force: FloatArray | None = None,
+        contacts: Sequence[NodeContact] = (),
+        couplings: Sequence[CouplingContact] = (),
     ) -> None:
         self.discretization = discretization
         self.conditions = conditions
         self.quasistatic = quasistatic
         self.contacts = list(contacts)
+        self.couplings = list(couplings)
+        self._barriers = [contact for contact in self.contacts if isinstance(contact, ObstacleBarrier)]
+        self.has_barriers = bool(self._barriers or self.couplings)
+        # Obstacles that nothing penetrates push bodies along: a solver has to move them together.
+        self.obstacles_push = any(barrier.moves for barrier in self._barriers)
         self.partition: Partition = discretization.partition
         self.free = conditions.free
         self.dim = discretization.dim
-        self._body_force = body_force
 
         self.elastic = [ElasticEnergy(group) for group in discretization.groups]
         self.pressures = [FollowerPressure(load) for load in conditions.pressures]
         self._terms: list[CellTerm] = [*self.elastic, *self.pressures]
         n = discretization.n_nodes
         cells = [term.cells for term in self._terms]
-        self.pattern = BlockPattern(cells, n, self.dim)
+        self._cell_pattern = BlockPattern(cells, n, self.dim)
+        self.pattern = self._cell_pattern
         self._sum = SlotSum(cells, n)
         self._first_row = np.concatenate([[0], np.cumsum([c.size for c in cells])]).astype(int)
         self._slots = np.empty((self._sum.n_slots, self.dim))
         self._blocks: FloatArray | None = None
         self._values: FloatArray | None = None
         self._part_values: FloatArray | None = None
+        self._rows: FloatArray | None = None
         self._diagonal = np.empty((n, self.dim * self.dim))
         mass = discretization.consistent_mass
-        self._mass_scalars = np.empty(0) if mass is None or quasistatic else self.pattern.block_scalars(mass)
+        self._mass = None if quasistatic else mass
+        self._set_pattern(self._cell_pattern)
 
         self.dt = 1.0
         self.time = 0.0
@@ -111,6 +121,7 @@ class IncrementalPotential:
         self.value_magnitude = 0.0
         self.load = np.zeros((n, self.dim))
         self._x_hat = np.zeros((n, self.dim))
+        self._in_use = np.empty(0, dtype=np.int64)
 
     # --------------------------------------------------------------------------------------------- the step
 
@@ -128,8 +139,10 @@ class IncrementalPotential:
         self.time = state.time + dt
         self.set_loads(self.time)
         self._x_hat = state.x + dt * state.v
-        for contact in self.contacts:
+        for contact in (*self.contacts, *self.couplings):
             contact.begin_step(state.x, self.time, dt)
+        # What a pair of nodes was coupled by in earlier steps must not decide how rounding falls in this one.
+        self._in_use = np.empty(0, dtype=np.int64)
         self._reference = state.x
         self.linearize_at(state.x)
         inertia = 0.0 if self.quasistatic else self.partition.norm(self.apply_mass(state.x - self._x_hat)) / dt**2
@@ -141,8 +154,6 @@ class IncrementalPotential:
         self.conditions.dead_load(time, self.load)
         mass = self.discretization.row_mass if self.quasistatic else self._load_mass()
         self.load += mass[:, None] * self.conditions.acceleration(time)
-        if self._body_force is not None:
-            self.load += self._body_force
         for pressure in self.pressures:
             pressure.set_time(time)
 
@@ -170,6 +181,14 @@ class IncrementalPotential:
         self.conditions.set_prescribed(self.time, x)
         return x
 
+    def place_obstacles(self, progress: float) -> None:
+        """Put moving barriers where they are after that part of the step, from 0 (after `begin_step`) to 1 (its end).
+
+        A solver that starts from the last state has to bring them to 1, moving bodies out of their way.
+        """
+        for barrier in self._barriers:
+            barrier.place(progress)
+
     def linearize_at(self, x: FloatArray) -> None:
         """Tell terms without a potential that a line search will start from `x`."""
         for pressure in self.pressures:
@@ -193,7 +212,8 @@ class IncrementalPotential:
     def value(self, x: FloatArray) -> float:
         """Phi(x) [J], without the constant that pressure has none of; inf where a law is not defined."""
         # One sum over the ranks a kind: a rank has terms only of the bodies it has cells of.
-        kinds: list[Sequence[CellTerm | PenaltyContact]] = [self.elastic, self.pressures, self.contacts]
+        kinds: list[Sequence[CellTerm | NodeContact | CouplingContact]]
+        kinds = [self.elastic, self.pressures, self.contacts, self.couplings]
         parts = [self.partition.sum(sum(term.value(x) for term in kind)) for kind in kinds]
         parts.append(-self.partition.dot(self.load, x - self._reference))
         if not self.quasistatic:
@@ -211,7 +231,7 @@ class IncrementalPotential:
                 self._slots[self._first_row[k] : self._first_row[k + 1]] = 0.0
         out = np.empty((self.discretization.n_nodes, self.dim))
         self._sum(self._slots, out)
-        for contact in self.contacts:
+        for contact in (*self.contacts, *self.couplings):
             contact.add_gradient(x, out)
         self.partition.accumulate(out)
         return out
@@ -273,6 +293,9 @@ class IncrementalPotential:
             Its values are a buffer that the next call overwrites.
         """
         dim = self.dim
+        coupled = [term.hessian_blocks(x, project) for term in self.couplings]
+        if coupled:
+            self._adapt_pattern(coupled)
         if self._blocks is None:
             self._blocks = np.empty((self.pattern.n_slots, dim * dim))
         values = self._part_values if is_part else self._values
@@ -288,10 +311,15 @@ class IncrementalPotential:
             else:
                 term.hessian(x, project, self._blocks, first)
         self._diagonal[:] = 0.0
-        if not self.quasistatic and self._mass_scalars.size == 0:
+        if not self.quasistatic and self._mass is None:
             self._diagonal[:, :: dim + 1] = (self.discretization.lumped_mass / self.dt**2)[:, None]
         for contact in self.contacts:
             contact.add_hessian(x, project, self._diagonal)
+        self._blocks[self._cell_pattern.n_slots :] = 0.0
+        for part in coupled:
+            pairs = part.rows * self.pattern.n_nodes + part.columns
+            self._blocks[self._cell_pattern.n_slots + np.searchsorted(self.pattern.pairs, pairs)] += part.blocks
+            self._diagonal[part.nodes] += part.diagonal
         mask = self.free if free is None else free
         kernels.sum_blocks(
             self._blocks,
@@ -313,10 +341,30 @@ class IncrementalPotential:
             self.discretization.points,
             mask,
             self.partition,
+            self.pattern,
         )
 
-    def hessian_times(self, x: FloatArray, step: FloatArray) -> FloatArray:
-        """Product of the projected Hessian, prescribed degrees of freedom included, with a (n_local, dim) field."""
+    def _set_pattern(self, pattern: BlockPattern) -> None:
+        if self._values is not None:
+            # Rounding is judged by the last whole Hessian, also where further ones are made in parts only.
+            self._rows = self._row_scale(self._values)
+        self.pattern = pattern
+        self._blocks, self._values, self._part_values = None, None, None
+        self._mass_scalars = np.empty(0) if self._mass is None else pattern.block_scalars(self._mass)
+
+    def _adapt_pattern(self, coupled: Sequence[NodeBlocks]) -> None:
+        """Make room for the pairs of nodes in contact; pairs that were coupled in this step keep theirs."""
+        n = self._cell_pattern.n_nodes
+        wanted = np.concatenate([part.rows * n + part.columns for part in coupled])
+        self._in_use = np.union1d(self._in_use, wanted)
+        if not np.array_equal(self._in_use, self.pattern.pairs):
+            self._set_pattern(self._cell_pattern.extended(self._in_use) if self._in_use.size else self._cell_pattern)
+
+    def hessian_times(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> FloatArray:
+        """Product of the projected Hessian, prescribed degrees of freedom included, with a (n_local, dim) field.
+
+        `drift` adds the first-order effect of that part of the motion of the obstacles over the step.
+        """
         import scipy.sparse
 
         everything = np.ones_like(self.free)
@@ -324,6 +372,8 @@ class IncrementalPotential:
         n = self.discretization.n_nodes * self.dim
         matrix = scipy.sparse.csr_matrix((K.values, K.columns, K.row_offsets), shape=(n, n))
         product = np.ascontiguousarray((matrix @ step.ravel()).reshape(step.shape))
+        for barrier in self._barriers:
+            barrier.drift_force(x, drift, product)
         self.partition.accumulate(product)
         return product
 
@@ -343,19 +393,25 @@ class IncrementalPotential:
         n = self.partition.n_owned
         size = float(np.abs(x[:n]).max(initial=0.0))
         # |K| |x| eps, with the magnitude of K from the diagonal of the last Hessian.
-        if self._values is None:
+        rows = self._rows if self._values is None else self._row_scale(self._values)
+        if rows is None:
             return 0.0
-        local = float(np.sum((self._row_scale() * size) ** 2))
+        local = float(np.sum((rows * size) ** 2))
         return 4.0 * np.finfo(float).eps * float(np.sqrt(self.partition.sum(local)))
 
-    def _row_scale(self) -> FloatArray:
-        assert self._values is not None
+    def _row_scale(self, values: FloatArray) -> FloatArray:
         starts = self.pattern.dof_row_offsets[:-1].astype(np.int64)
-        return np.asarray(np.maximum.reduceat(np.abs(self._values), starts))[: self.partition.n_owned * self.dim]
+        return np.asarray(np.maximum.reduceat(np.abs(values), starts))[: self.partition.n_owned * self.dim]
 
-    def max_step(self, x: FloatArray, step: FloatArray) -> float:
-        """Largest step length in (0, 1] that a line search may try; laws and contacts here set no bound."""
-        return 1.0
+    def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
+        """Largest part in [0, 1] of a step that contact leaves free; laws set no bound.
+
+        `drift` is the part of the obstacles' motion over the time step that goes along with the whole of `step`.
+        """
+        part = min((barrier.max_step(x, step, drift) for barrier in self._barriers), default=1.0)
+        for term in self.couplings:
+            part *= term.max_step(x, part * step)
+        return self.partition.min(part) if self._barriers else part
 
     def accept(self, state: State, x: FloatArray) -> State:
         """Return the state after a solved step."""

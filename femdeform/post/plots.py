@@ -78,7 +78,7 @@ def energy_figure(history: Columns) -> Any | None:
     time = _numbers(history, "time")
     if not present or not np.any(np.isfinite(time)):
         return None
-    figure, axes = _new_figure(1)
+    figure, axes = new_figure(1)
     marker = "." if len(time) <= _MARKED else ""
     for values, label, colour in present:
         axes[0].plot(time, values, color=colour, label=label, marker=marker, linewidth=1.6)
@@ -94,11 +94,11 @@ def energy_figure(history: Columns) -> Any | None:
 
 def residual_figure(history: Columns) -> Any | None:
     """Relative residual at the end of each step, and iterations it took; None where there are no numbers."""
-    step, residual = _numbers(history, "step"), _positive(_numbers(history, "relative_residual"))
+    step, residual = _numbers(history, "step"), positive(_numbers(history, "relative_residual"))
     iterations = _numbers(history, "iterations")
     if not np.any(np.isfinite(residual)) and not np.any(np.isfinite(iterations)):
         return None
-    figure, axes = _new_figure(2)
+    figure, axes = new_figure(2)
     marker = "." if len(step) <= _MARKED else ""
     axes[0].plot(step, residual, color="#4477aa", marker=marker, linewidth=1.4)
     if np.any(np.isfinite(residual)):
@@ -126,14 +126,14 @@ def iterations_figure(iterations: Columns) -> Any | None:
         their own.
     """
     step, number = _numbers(iterations, "step"), _numbers(iterations, "iteration")
-    residual = _positive(_numbers(iterations, "relative_residual"))
+    residual = positive(_numbers(iterations, "relative_residual"))
     if not np.any(np.isfinite(residual)):
         return None
     # A new curve begins where the step changes or the count of iterations starts again.
     begins = np.flatnonzero((np.diff(step) != 0) | (np.diff(number) <= 0)) + 1
     curves = np.split(np.arange(len(step)), begins)
     shown = np.unique(np.linspace(0, len(curves) - 1, min(len(curves), _MAX_CURVES)).round().astype(int))
-    figure, axes = _new_figure(1)
+    figure, axes = new_figure(1)
     colours = importlib.import_module("matplotlib").colormaps["viridis"](np.linspace(0.0, 0.9, len(shown)))
     for colour, position in zip(colours, shown, strict=True):
         rows = curves[position]
@@ -158,14 +158,14 @@ def figure_bytes(figure: Any, kind: str) -> bytes:
     return stream.getvalue()
 
 
-def _matplotlib() -> Any:
-    try:
-        return importlib.import_module("matplotlib")
-    except ImportError as error:
-        raise MissingDependencyError(f"plots need matplotlib, which cannot be imported ({error})") from error
+def new_figure(n_rows: int) -> tuple[Any, list[Any]]:
+    """A figure with a grid, its axes one below the other.
 
-
-def _new_figure(n_rows: int) -> tuple[Any, list[Any]]:
+    Raises
+    ------
+    MissingDependencyError
+        If matplotlib cannot be imported.
+    """
     _matplotlib()
     # A Figure by itself, without pyplot, needs no display and leaves nothing open.
     figure = importlib.import_module("matplotlib.figure").Figure(
@@ -179,6 +179,13 @@ def _new_figure(n_rows: int) -> tuple[Any, list[Any]]:
     return figure, axes
 
 
+def _matplotlib() -> Any:
+    try:
+        return importlib.import_module("matplotlib")
+    except ImportError as error:
+        raise MissingDependencyError(f"plots need matplotlib, which cannot be imported ({error})") from error
+
+
 def _numbers(columns: Columns, name: str) -> FloatArray:
     """A column as numbers; NaN where it is missing or holds text."""
     n_rows = len(next(iter(columns.values()), ()))
@@ -188,6 +195,6 @@ def _numbers(columns: Columns, name: str) -> FloatArray:
     return np.asarray(column, dtype=np.float64)
 
 
-def _positive(values: FloatArray) -> FloatArray:
+def positive(values: FloatArray) -> FloatArray:
     """Values for a logarithmic axis: what is not positive is left out."""
     return np.where(values > 0.0, values, np.nan)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from femdeform.errors import InputError
 from femdeform.post.camera import vertical_axis, view_direction
 from femdeform.post.fields import select_field
+from femdeform.post.skin import DrawnFrames
 from femdeform.post.surface import Part, coarsen, extract_surface
 from femdeform.post.survey import resolved_or_empty
 from femdeform.run.result import Frame, Result
@@ -45,7 +46,8 @@ def interactive_data(result: Result) -> str:
     InputError
         If there are no frames, or one cannot be read.
     """
-    last = result.read_frame(-1)
+    drawn = DrawnFrames(result)
+    last = drawn.read(-1)
     surface = extract_surface(last.points, last.blocks)
     if not len(surface.nodes):
         raise InputError(f"{result.folder}: there is nothing to show, the frames have no cells")
@@ -61,7 +63,7 @@ def interactive_data(result: Result) -> str:
         chosen = np.array([len(result.frames) - 1])
 
     known = {len(result.frames) - 1: last}
-    shown = [_frame_part(known.get(i) or result.read_frame(i), nodes) for i in chosen.tolist()]
+    shown = [_frame_part(known.get(i) or drawn.read(i), nodes) for i in chosen.tolist()]
     positions = [part[1] for part in shown] + [last.points[nodes]]
     low = np.min([p.min(axis=0) for p in positions], axis=0)
     high = np.max([p.max(axis=0) for p in positions], axis=0)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from femdeform.post.camera import VIEW_ANGLE, place_camera, vertical_axis
 from femdeform.post.fields import Field, select_field
 from femdeform.post.obstacles import obstacle_shapes, solid_bounds
+from femdeform.post.skin import DrawnFrames
 from femdeform.post.surface import Part, vertex_normals
 from femdeform.post.survey import Setting, resolved_or_empty
 from femdeform.run.result import Frame, Result
@@ -28,6 +29,7 @@ _TEXT = "#202020"
 # Parts of the picture the bodies may fill; the rest is for the legend on the right and for title and time.
 _FILL_WIDTH, _FILL_HEIGHT = 0.74, 0.76
 _FILL_CENTER = (0.43, 0.485)
+_FILL_BARE = 0.92
 
 
 class Stage:
@@ -47,6 +49,8 @@ class Stage:
         Width and height [pixels].
     off_screen : bool
         Draw into memory, not into a window.
+    bare : bool
+        Only the bodies and obstacles: for pictures that share a legend with others.
     """
 
     def __init__(
@@ -58,11 +62,14 @@ class Stage:
         *,
         size: tuple[int, int],
         off_screen: bool = True,
+        bare: bool = False,
     ) -> None:
         self.pyvista = pyvista
         self._result = result
+        self._drawn = DrawnFrames(result)
         self._setting = setting
         self._field = field
+        self._bare = bare
         self._scale = size[1] / 800.0
         self._meshes: list[tuple[Any, Part, bool]] = []  # mesh, its nodes, whether it carries the colours
         self._obstacles = [o for o in result.facts.get("obstacles") or [] if isinstance(o, dict)]
@@ -83,7 +90,7 @@ class Stage:
         Frame
             The frame shown.
         """
-        frame = self._result.read_frame(index)
+        frame = self._drawn.read(index)
         field = select_field(frame, self._field, self._result.folder)
         if not self._meshes:
             self._build(frame, field)
@@ -92,6 +99,10 @@ class Stage:
             if coloured:
                 self._colour(mesh, part, field)
         self._show_obstacles(frame.time)
+        if self._bare:
+            # New text makes the plotter draw again; moved points alone do not.
+            self.plotter.render()
+            return frame
         text = f"t = {frame.time:.4g} s"
         self.plotter.add_text(
             text, name="time", position=(0.03, 0.035), viewport=True, font_size=self._font(13), color=_TEXT
@@ -142,6 +153,11 @@ class Stage:
             )
             self._meshes.append((edges, surface.edges, False))
         self._add_reference(frame)
+        if not self._bare:
+            self._annotate(field)
+        self._aim()
+
+    def _annotate(self, field: Field) -> None:
         if field.categorical:
             self._add_legend(field)
         for bar in self.plotter.scalar_bars.values():
@@ -152,7 +168,6 @@ class Stage:
                 title, position=(0.03, 0.93), viewport=True, font_size=self._font(16), color=_TEXT
             )
         self.plotter.add_axes(viewport=(0.84, 0.0, 1.0, 0.2), line_width=2, color=_TEXT)
-        self._aim()
 
     def _mesh(self, frame: Frame, part: Part, *, with_faces: bool) -> Any:
         mesh = self.pyvista.PolyData(frame.positions[part.nodes])
@@ -207,6 +222,7 @@ class Stage:
             "cmap": "viridis",
             "clim": (low, high),
             "scalar_bar_args": bar,
+            "show_scalar_bar": not self._bare,
             "preference": "cell" if field.on_cells else "point",
         }
 
@@ -261,7 +277,9 @@ class Stage:
         shown = np.stack([box, *solid_bounds(self._obstacles, 3.0 * size)])
         box = np.stack([shown[:, 0].min(axis=0), shown[:, 1].max(axis=0)])
         width, height = self.plotter.window_size
-        fill = (_FILL_WIDTH * width) / (_FILL_HEIGHT * height)
+        part = (_FILL_BARE, _FILL_BARE) if self._bare else (_FILL_WIDTH, _FILL_HEIGHT)
+        center = (0.5, 0.5) if self._bare else _FILL_CENTER
+        fill = (part[0] * width) / (part[1] * height)
         vertical = vertical_axis(resolved_or_empty(self._result))
         placed = place_camera(box, dim=self._setting.dim, vertical=vertical, aspect=fill)
         camera = self.plotter.camera
@@ -270,13 +288,13 @@ class Stage:
         camera.view_angle = VIEW_ANGLE
         if placed.parallel_scale is not None:
             camera.parallel_projection = True
-            camera.parallel_scale = placed.parallel_scale / _FILL_HEIGHT
+            camera.parallel_scale = placed.parallel_scale / part[1]
             camera.position = placed.position
         else:
             # Stepping back by the fraction to be filled leaves the margins.
             back = placed.position - placed.focal_point
-            camera.position = placed.focal_point + back / _FILL_HEIGHT
-        camera.SetWindowCenter(1.0 - 2.0 * _FILL_CENTER[0], 1.0 - 2.0 * _FILL_CENTER[1])
+            camera.position = placed.focal_point + back / part[1]
+        camera.SetWindowCenter(1.0 - 2.0 * center[0], 1.0 - 2.0 * center[1])
         self.plotter.reset_camera_clipping_range()
         self.plotter.camera_set = True
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from femdeform.errors import InputError
 from femdeform.post.fields import Field, select_field, value_range
+from femdeform.post.skin import DrawnFrames
 from femdeform.post.surface import Surface, extract_surface
 from femdeform.run.result import Result
 from femdeform.types import FloatArray
@@ -61,8 +62,9 @@ def survey(
     surface: Surface | None = None
     corners: list[FloatArray] = []
     ranges: list[tuple[float, float]] = []
+    drawn = DrawnFrames(result)
     for index in frames:
-        frame = result.read_frame(index)
+        frame = drawn.read(index)
         if surface is None:
             surface = extract_surface(frame.points, frame.blocks)
             if not len(surface.nodes):

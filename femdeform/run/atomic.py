@@ -24,17 +24,18 @@ _REASONS = {
     errno.EFBIG: "the file would be larger than allowed here",
     errno.ENOTDIR: "a part of the path is a file, not a folder",
     errno.EISDIR: "there is a folder of that name",
+    errno.EEXIST: "there is a file of that name, not a folder",
     errno.ENAMETOOLONG: "the name is too long",
 }
 
 
-def output_error(path: Path, error: OSError) -> OutputError:
+def output_error(path: Path | str, error: OSError) -> OutputError:
     """The one-line error for a file that cannot be written.
 
     Parameters
     ----------
-    path : Path
-        The file or folder that was to be written.
+    path : Path or str
+        The file or folder that was to be written, or what it is for.
     error : OSError
         What the system, or a library on its behalf, reported.
     """
@@ -67,6 +68,21 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
 
 
+def check_writable(folder: Path) -> None:
+    """Create a folder and make sure that files can be made in it, before work is spent on what they would hold.
+
+    Raises
+    ------
+    OutputError
+        If not.
+    """
+    make_folder(folder)
+    with writing(folder):
+        probe = _beside(folder / "probe")
+        _create(probe)
+        probe.unlink()
+
+
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path to write to; on leaving without an exception it becomes `path`.
@@ -91,10 +107,8 @@ def replacing(path: Path) -> Iterator[Path]:
         If the disk is full or the folder cannot be written to.
     """
     with writing(path):
-        temporary = path.with_name(f".{path.stem}-{secrets.token_hex(6)}.part{path.suffix}")
-        # Not tempfile.mkstemp: its files are private, and a result should be as readable as any file of the
-        # user.
-        os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        temporary = _beside(path)
+        _create(temporary)
         try:
             yield temporary
             _flush_to_disk(temporary)
@@ -134,6 +148,16 @@ def remove_leftovers(folder: Path) -> None:
     with writing(folder):
         for leftover in (*folder.glob(".*.part.*"), *folder.glob(".*.part")):
             leftover.unlink(missing_ok=True)
+
+
+def _beside(path: Path) -> Path:
+    """Name of a temporary file that `remove_leftovers` knows."""
+    return path.with_name(f".{path.stem}-{secrets.token_hex(6)}.part{path.suffix}")
+
+
+def _create(path: Path) -> None:
+    # Not tempfile.mkstemp: its files are private, and a result should be as readable as any file of the user.
+    os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
 
 
 def _flush_to_disk(path: Path) -> None:

@@ -1,10 +1,17 @@
-"""Checkpoints: everything needed to go on from a step as if the run had never stopped."""
+"""Checkpoints: everything needed to go on from a step as if the run had never stopped.
+
+The file is HDF5 with a line behind its end that holds the checksum of all before it. HDF5 ignores that line; whatever
+damages the file is noticed before HDF5 has to make sense of it. One checkpoint is kept: as it is replaced atomically,
+an older one beside it would never be needed.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +22,12 @@ from femdeform.run import atomic
 from femdeform.types import FloatArray
 
 FILE_NAME = "checkpoint.h5"
-# What to do where there is nothing to go on from; a run does not write over another one's result.
-START_ANEW = "run without --resume, into another folder (--out) or after removing this one"
-_VERSION = 1
+# What to do where there is nothing to go on from; a run does not write over another one's result unasked.
+START_ANEW = "run without --resume, with --overwrite or into another folder (--out)"
+_VERSION = 2
+_SEAL = b"\nfemdeform checkpoint sha256 "
+# Results of runs that ended too early to leave a checkpoint: nothing is lost by beginning again.
+_BEGUN = ("running", "interrupted", "failed")
 
 
 @dataclass(frozen=True)
@@ -33,13 +43,15 @@ class Checkpoint:
     step : int
         Accepted steps.
     current_dt : float
-        Step size in use [s], smaller than the scene's after a failure.
+        Size of the next step [s], smaller than the scene's after a failure.
     frames : int
         Frames written.
     seconds : float
         Wall time spent so far [s].
     scene_hash : str
         Hash of the scene that was run.
+    mesh_files : dict of str to str
+        SHA-256 of the mesh file of every body that has one.
     """
 
     x: FloatArray
@@ -50,6 +62,7 @@ class Checkpoint:
     frames: int
     seconds: float
     scene_hash: str
+    mesh_files: dict[str, str] = field(default_factory=dict)
 
 
 def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
@@ -62,25 +75,28 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     """
     import h5py
 
-    with atomic.replacing(folder / FILE_NAME) as path, h5py.File(path, "w") as file:
+    # In memory first: HDF5 itself reports a full disk in ways that differ between versions, at times at exit only.
+    image = io.BytesIO()
+    with h5py.File(image, "w") as file:
         file.attrs["version"] = _VERSION
         for name, value in vars(checkpoint).items():
             if isinstance(value, np.ndarray):
-                # A checksum, so that a damaged file is noticed instead of continued.
-                file.create_dataset(name, data=value, fletcher32=True, chunks=True if value.size else None)
+                file.create_dataset(name, data=value)
             else:
-                file.attrs[name] = value
+                file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
+    data = image.getvalue()
+    atomic.write_bytes(folder / FILE_NAME, data + _SEAL + hashlib.sha256(data).hexdigest().encode("ascii") + b"\n")
 
 
 def is_unsaved(folder: Path) -> bool:
-    """Whether a run was begun in a result folder and ended without a word before its first checkpoint."""
+    """Whether a run was begun in a result folder and ended before its first checkpoint."""
     if (folder / FILE_NAME).exists():
         return False
     try:
         facts = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    return isinstance(facts, dict) and facts.get("status") == "running"
+    return isinstance(facts, dict) and facts.get("status") in _BEGUN
 
 
 def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
@@ -104,10 +120,16 @@ def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
     if not path.is_file():
         raise InputError([Fault(str(path), 0, "", "no checkpoint to resume from; run without --resume")])
     try:
-        with h5py.File(path, "r") as file:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError([Fault(str(path), 0, "", f"the checkpoint cannot be read: {error.strerror}")]) from None
+    try:
+        with h5py.File(io.BytesIO(_unsealed(data)), "r") as file:
             attributes: Mapping[str, Any] = dict(file.attrs)
-            if int(attributes["version"]) != _VERSION:
-                raise InputError([Fault(str(path), 0, "", f"checkpoint version {attributes['version']} is not known")])
+            version = int(attributes["version"])
+            if version != _VERSION:
+                message = f"checkpoint version {version} is not known here, only {_VERSION}; {START_ANEW}"
+                raise InputError([Fault(str(path), 0, "", message)])
             checkpoint = Checkpoint(
                 x=file["x"][()],
                 v=file["v"][()],
@@ -117,6 +139,7 @@ def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
                 frames=int(attributes["frames"]),
                 seconds=float(attributes["seconds"]),
                 scene_hash=str(attributes["scene_hash"]),
+                mesh_files=dict(json.loads(attributes["mesh_files"])),
             )
     except (OSError, KeyError, ValueError) as error:
         message = f"the checkpoint is damaged ({error}); {START_ANEW}"
@@ -125,3 +148,13 @@ def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
         message = f"the checkpoint belongs to another version of this scene; {START_ANEW}"
         raise InputError([Fault(str(path), 0, "", message)])
     return checkpoint
+
+
+def _unsealed(data: bytes) -> bytes:
+    """Contents of a checkpoint file without its checksum, which has to be right."""
+    at = data.rfind(_SEAL)
+    if at < 0:
+        raise ValueError("its end is missing, or an older femdeform wrote it")
+    if data[at + len(_SEAL) :] != hashlib.sha256(data[:at]).hexdigest().encode("ascii") + b"\n":
+        raise ValueError("its checksum is wrong")
+    return data[:at]

@@ -51,19 +51,24 @@ class FrameSource:
             regions.append(region)
         self.mesh = FrameMesh(discretization.all_points, blocks, {"body": bodies, "region": regions})
 
-    def point_data(self, state: State) -> dict[str, FloatArray] | None:
-        """Displacement [m] and, if the scene asks for it, velocity [m/s] of all nodes; None off rank 0."""
+    def point_data(self, state: State, reactions: FloatArray | None = None) -> dict[str, FloatArray] | None:
+        """Displacement [m] and whatever else the scene asks for at all nodes; None off rank 0.
+
+        Parameters
+        ----------
+        state : State
+            The state to show.
+        reactions : (n_local, dim) float64, optional
+            Forces of supports and motions [N]; zero where there are none yet.
+        """
         discretization = self._simulation.discretization
-        partition = discretization.partition
-        displacement = partition.gather(state.x - discretization.points)
-        fields = self._simulation.scene.output.fields
-        velocity = partition.gather(state.v) if "velocity" in fields else None
-        if displacement is None:
-            return None
-        data = {"displacement": displacement}
-        if velocity is not None:
-            data["velocity"] = velocity
-        return data
+        fields = {"displacement": state.x - discretization.points}
+        if "velocity" in self._simulation.scene.output.fields:
+            fields["velocity"] = state.v
+        if "reaction" in self._simulation.scene.output.fields:
+            fields["reaction"] = np.zeros_like(state.x) if reactions is None else reactions
+        gathered = {name: discretization.partition.gather(values) for name, values in fields.items()}
+        return {name: values for name, values in gathered.items() if values is not None} or None
 
     def cell_data(self, state: State) -> dict[str, list[FloatArray]] | None:
         """Cell fields that the scene asks for, one array per body; None off rank 0."""

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from femdeform.errors import InputError
-from femdeform.fem.discretization import EDGES
 from femdeform.fem.fields import cell_field, jacobians, volumes
 from femdeform.fem.incremental_potential import State
+from femdeform.fem.interpolation import nodal_weights
 from femdeform.run.setup import Simulation
 from femdeform.scene import quantity_schema as schema
 from femdeform.scene.point_location import locate_point
@@ -152,12 +152,7 @@ def _nodes_around(simulation: Simulation, point: FloatArray) -> tuple[IntArray, 
             continue
         place = simulation.discretization.bodies[body]
         nodes = place.first + place.connectivity[found.cell]
-        corners = found.barycentric
-        if nodes.size == corners.size:
-            return nodes, corners
-        pairs = np.array(EDGES[mesh.cell_type])
-        middle = 4.0 * corners[pairs[:, 0]] * corners[pairs[:, 1]]
-        return nodes, np.concatenate([corners * (2.0 * corners - 1.0), middle])
+        return nodes, nodal_weights(found.barycentric, mesh.cell_type, nodes.size)
     raise InputError(f"the point {point.tolist()} lies in no cell of the bodies")
 
 

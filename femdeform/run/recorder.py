@@ -8,8 +8,6 @@ can be read, and a resumed one leaves the files that an unbroken run would have 
 
 from __future__ import annotations
 
-import json
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
-from femdeform.run import atomic
-from femdeform.run.plain import to_json, to_yaml
+from femdeform.run import atomic, result_folder
+from femdeform.run.plain import to_yaml
 from femdeform.run.table import Table, Value, last_step, time_of_step, truncate_table
 from femdeform.run.vtu import CellData, FrameMesh, VTUWriter, write_pvd
 from femdeform.run.vtu_reader import read_pvd, read_vtu
@@ -48,23 +46,6 @@ ITERATION_COLUMNS = (
     "linear_iterations",
     "seconds",
 )
-
-# Everything a run, or what is drawn from it, leaves in its folder: the files that an overwriting run removes.
-_OWN_FILES = (
-    "resolved.yaml",
-    "result.json",
-    "history.csv",
-    "iterations.csv",
-    "frames.pvd",
-    "final.vtu",
-    "checkpoint.h5",
-    "report.html",
-    "view.png",
-)
-# Any of these says that the folder belongs to a run.
-_MARKS = ("result.json", "history.csv", "iterations.csv", "frames.pvd", "final.vtu", "checkpoint.h5")
-_OWN_FOLDERS = {"frames": "frame_*.vtu", "plots": "*.png"}
-
 
 class Recorder:
     """Writes one result folder.
@@ -110,7 +91,9 @@ class Recorder:
         self._frames: dict[str, float] = {}
         atomic.make_folder(folder)
         if resume_from_step is None:
-            _make_room(folder, overwrite)
+            if not overwrite:
+                result_folder.check_vacant(folder)
+            result_folder.clear(folder, results=overwrite)
         atomic.make_folder(folder / "frames")
         if resume_from_step is not None:
             self._return_to(resume_from_step)
@@ -133,8 +116,9 @@ class Recorder:
             If a file cannot be written.
         """
         self._facts = dict(facts)
-        atomic.write_text(self.folder / "resolved.yaml", to_yaml(resolved))
+        result_folder.reserve(self.folder, facts)
         self._write_result("running", "")
+        atomic.write_text(self.folder / "resolved.yaml", to_yaml(resolved))
 
     def step(self, row: Mapping[str, Value]) -> None:
         """Add a row to ``history.csv``.
@@ -235,6 +219,7 @@ class Recorder:
         self._facts.update(facts)
         self.sync()
         self._write_result(status, reason)
+        result_folder.release(self.folder)
         self.close()
 
     def close(self) -> None:
@@ -257,7 +242,7 @@ class Recorder:
     def _write_result(self, status: str, reason: str) -> None:
         head = {"status": status, "reason": reason, "steps": self._last_step}
         facts = {**head, **self._facts, "status": status, "reason": reason}
-        atomic.write_text(self.folder / "result.json", to_json(facts))
+        result_folder.write_facts(self.folder, facts)
 
     def _return_to(self, step: int) -> None:
         """Drop what was recorded after a checkpoint."""
@@ -296,27 +281,3 @@ class Recorder:
         # The list is lost, the frames are not: each knows its time.
         files = [f"frames/{path.name}" for path in (self.folder / "frames").glob("frame_*.vtu")]
         return [(read_vtu(self.folder / file).time, file) for file in files]
-
-
-def _make_room(folder: Path, overwrite: bool) -> None:
-    result = folder / "result.json"
-    if not overwrite and any((folder / name).exists() for name in _MARKS):
-        try:
-            unfinished = json.loads(result.read_text(encoding="utf-8"))["status"] == "running"
-        except (OSError, ValueError, KeyError, TypeError):
-            unfinished = False
-        kind = "an unfinished result" if unfinished else "a result"
-        message = f"holds {kind} already: give --resume to go on with it, or another folder with --out"
-        raise InputError([Fault(str(folder), 0, "", message)])
-    atomic.remove_leftovers(folder)
-    if not overwrite:
-        return
-    with atomic.writing(folder):
-        for name in _OWN_FILES:
-            (folder / name).unlink(missing_ok=True)
-        for name, pattern in _OWN_FOLDERS.items():
-            for path in (folder / name).glob(pattern):
-                path.unlink()
-            atomic.remove_leftovers(folder / name)
-            if (folder / name).is_dir() and not any((folder / name).iterdir()):
-                shutil.rmtree(folder / name)

@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 import time
-import traceback
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
+import numpy as np
+
 from femdeform import parallel
-from femdeform.errors import FemdeformError, InputError, OutputError
+from femdeform.errors import InputError
 from femdeform.fem.incremental_potential import State
-from femdeform.jit import CompilationAnnouncer, set_threads
-from femdeform.run.checkpoint import START_ANEW, Checkpoint, is_unsaved, read_checkpoint, write_checkpoint
+from femdeform.jit import CompilationAnnouncer
+from femdeform.run.checkpoint import START_ANEW, Checkpoint, write_checkpoint
 from femdeform.run.expectations import check_expectations, describe_verdict
+from femdeform.run.failure import end_all_ranks, reason_of
+from femdeform.run.inputs import RunInput, read_together
+from femdeform.run.interrupts import INTERRUPTED, Interrupts, last_words
 from femdeform.run.output import FrameSource
 from femdeform.run.progress import Progress
-from femdeform.run.quantities import Meter, standard_quantities
+from femdeform.run.quantities import Meter, Snapshot, standard_quantities
 from femdeform.run.recorder import Recorder
-from femdeform.run.result import Result
+from femdeform.run.result_folder import mark_ended
 from femdeform.run.setup import Simulation, build_simulation
+from femdeform.run.skin import bind_skins, write_skins
 from femdeform.run.table import read_table
+from femdeform.run.threads import use_threads
 from femdeform.run.time_loop import LoopOutcome, StepControl, default_min_dt, run_time_loop
-from femdeform.scene.checks import check_file, check_scene
-from femdeform.scene.load import LoadedScene, load_scene
-from femdeform.scene.meshing import load_meshes
 from femdeform.step_problem import IterationObserver, StepResult
-from femdeform.types import FloatArray, Mesh
-
-_INTERRUPTED = 130
-_THREADED_CELLS = 2000
+from femdeform.types import FloatArray
 
 
 def run_scene(
@@ -44,6 +40,7 @@ def run_scene(
     out: Path | None = None,
     overrides: Sequence[str] = (),
     resume: bool = False,
+    overwrite: bool = False,
     trace: bool = False,
     threads: int | None = None,
     quiet: bool = False,
@@ -60,6 +57,8 @@ def run_scene(
         ``key=value`` as given to ``--set``.
     resume : bool
         Go on from the folder's checkpoint.
+    overwrite : bool
+        Replace a result that lies in the folder; other files stay.
     trace : bool
         Write ``iterations.csv``.
     threads : int, optional
@@ -77,86 +76,52 @@ def run_scene(
     FemdeformError
         On bad input or a missing dependency; on several ranks the same error on each, except for one that only some
         ranks meet: that one is printed and ends all ranks.
+    KeyboardInterrupt
+        On SIGINT or SIGTERM before there is a result to go on from.
     """
     comm = parallel.world()
-    given = _read_together(path, out, overrides, resume, comm)
-    if comm is None:
-        return _Run(given, trace, threads, quiet, None).execute()
-    try:
-        return _Run(given, trace, threads, quiet, comm).execute()
-    except BaseException as error:  # any error on one rank would leave the others waiting for ever
-        _end_all_ranks(comm, error)
-        raise
-
-
-def _end_all_ranks(comm: Any, error: BaseException) -> None:
-    """Say on this rank what went wrong, and end the others with it."""
-    if isinstance(error, FemdeformError):
-        print(f"femdeform: rank {comm.Get_rank()}: {error}", file=sys.stderr, flush=True)
-    else:
-        traceback.print_exception(error)
-        sys.stderr.flush()
-    comm.Abort(error.exit_code if isinstance(error, FemdeformError) else 1)
+    with Interrupts() as interrupts:
+        given = read_together(path, out, overrides, resume, overwrite, comm)
+        if given.ended is not None:
+            if not quiet and (comm is None or comm.Get_rank() == 0):
+                print(f"{given.folder}: this run has reached its end already; its result is left as it is")
+            return given.ended
+        if comm is None:
+            return _Run(given, trace, threads, quiet, interrupts, None).execute()
+        try:
+            return _Run(given, trace, threads, quiet, interrupts, comm).execute()
+        except BaseException as error:  # any error on one rank would leave the others waiting for ever
+            interrupts.hold()
+            if isinstance(error, KeyboardInterrupt):
+                mark_ended(given.folder, "interrupted", "interrupted by the user")
+            else:
+                mark_ended(given.folder, "failed", f"rank {comm.Get_rank()}: {reason_of(error)}")
+            end_all_ranks(comm, error)
+            raise
 
 
 @dataclass(frozen=True)
-class _Given:
-    """What a run starts from: the scene, its meshes, the result folder and what is to go on from there."""
+class _End:
+    """How a run ended, and what the user is told about it."""
 
-    loaded: LoadedScene
-    meshes: dict[str, Mesh]
-    folder: Path
-    checkpoint: Checkpoint | None
-    overwrite: bool
-
-
-def _read_together(
-    path: Path, out: Path | None, overrides: Sequence[str], resume: bool, comm: Any | None
-) -> _Given:
-    """Rank 0 reads, checks and meshes; all ranks get the same answer, or the same error."""
-    answer: _Given | FemdeformError | None = None
-    if comm is None or comm.Get_rank() == 0:
-        try:
-            answer = _read(path, out, overrides, resume, 1 if comm is None else comm.Get_size())
-        except FemdeformError as error:
-            answer = error
-        except BaseException as error:
-            if comm is not None:
-                _end_all_ranks(comm, error)
-            raise
-    if comm is not None:
-        answer = comm.bcast(answer, root=0)
-    if isinstance(answer, FemdeformError):
-        raise answer
-    assert answer is not None
-    return answer
-
-
-def _read(path: Path, out: Path | None, overrides: Sequence[str], resume: bool, ranks: int) -> _Given:
-    try:
-        loaded = load_scene(path, overrides)
-    except InputError as error:
-        # With what a check finds in the sound part, so that the user hears of everything at once.
-        raise InputError(check_file(path, overrides) or error.faults) from None
-    if ranks > 1 and loaded.scene.linear_solver.method == "scipy_direct":
-        key = ("linear_solver", "method")
-        raise InputError([loaded.fault(key, f"scipy_direct is serial; use ksp on {ranks} ranks")])
-    folder = out if out is not None else Path("results") / loaded.path.stem
-    # A run that was killed before its first checkpoint has nothing to go on from: it begins again.
-    begin_again = resume and is_unsaved(folder)
-    checkpoint = read_checkpoint(folder, loaded.hash) if resume and not begin_again else None
-    meshes = load_meshes(loaded)
-    faults = check_scene(loaded, meshes)
-    if faults:
-        raise InputError(faults)
-    return _Given(loaded, meshes, folder, checkpoint, begin_again)
+    code: int
+    status: str
+    advice: str
+    state: State
+    verdicts: list[dict[str, Any]]
 
 
 class _Run:
     """One run of one scene on this rank."""
 
     def __init__(
-        self, given: _Given, trace: bool, threads: int | None, quiet: bool, comm: Any | None
+        self,
+        given: RunInput,
+        trace: bool,
+        threads: int | None,
+        quiet: bool,
+        interrupts: Interrupts,
+        comm: Any | None,
     ) -> None:
         loaded, checkpoint = given.loaded, given.checkpoint
         self.loaded = loaded
@@ -164,21 +129,21 @@ class _Run:
         self.comm = comm
         self.is_first = comm is None or comm.Get_rank() == 0
         self.folder = given.folder
+        self.mesh_files = given.mesh_files
+        self.surfaces = given.skins
+        self.interrupts = interrupts
         self.trace = trace
         self.quiet = quiet
         self.begin = time.perf_counter()
         n_cells = sum(mesh.n_cells for mesh in given.meshes.values())
-        if threads is None and n_cells < _THREADED_CELLS and "FEMDEFORM_THREADS" not in os.environ:
-            # Few cells are done before a second thread has woken up.
-            threads = 1
-        self.threads = set_threads(threads)
-        # PETSc's BLAS is loaded later and would take all cores on every rank.
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", str(self.threads))
+        self.threads = use_threads(threads, n_cells)
         self.progress = Progress(self.scene.time.end, self.is_first and not quiet)
         self.simulation: Simulation = build_simulation(self.scene, given.meshes, comm)
         self.frames = FrameSource(self.simulation)
         self.meter = Meter(self.simulation)
         self.measured: dict[str, float] = {}
+        # Forces of the supports at the last state [N]; before the first step nothing tells them.
+        self.reactions: FloatArray | None = None
         self.n_frames = 0
         self.n_failures = 0
         scene_time = self.scene.time
@@ -192,12 +157,8 @@ class _Run:
         self.earlier_seconds = 0.0 if checkpoint is None else checkpoint.seconds
         self.state = self.simulation.state if checkpoint is None else self._restore(checkpoint)
         self.resumed = checkpoint is not None
-        # What a run that has reached its end already says of itself; nobody can measure the forces of its last step.
-        self.earlier_facts = Result.open(self.folder).facts if self.resumed and self.is_first else {}
-        self.first_step = self.state.step
         self.last_saved = self.state.step if self.resumed else -1
-        self.is_recording = False
-        self.is_interrupted = False
+        self.next_dt = self.control.current
         self.recorder: Recorder | None = None
         if self.is_first:
             step = self.state.step if self.resumed else None
@@ -209,52 +170,68 @@ class _Run:
 
     def execute(self) -> int:
         """Run to the end, write the outcome, return the exit code."""
-        for text in [*self.loaded.notices, *self.simulation.notices]:
+        try:
+            try:
+                with last_words(self._mark_interrupted):
+                    outcome = self._run()
+            except KeyboardInterrupt:
+                self.interrupts.hold()
+                end = self._interrupted()
+            else:
+                self.interrupts.hold()
+                end = self._finish(outcome)
+        except Exception as error:
+            self._record_failure(error)
+            raise
+        self._say(end)
+        return end.code
+
+    def _run(self) -> LoopOutcome:
+        if self.comm is not None:
+            # Ranks have to stop at the same step; the launcher may lack the patience to wait for that.
+            self.interrupts.hold(self._mark_interrupted)
+        skins, loose = bind_skins(self.simulation, self.surfaces) if self.is_first else ([], [])
+        for text in [*self.loaded.notices, *self.simulation.notices, *loose]:
             self.progress.notice(f"note: {text}")
         if self.recorder is not None:
             self.recorder.start(self._resolved(), self._facts())
+            write_skins(self.folder, skins)
         if not self.resumed:
             self._write_frame(self.state)
             self._save(self.state)
         self.step_begin = time.perf_counter()
-        handlers = {number: signal.signal(number, self._interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
-        try:
-            with CompilationAnnouncer(self.progress.notice), self.progress:
-                outcome = run_time_loop(
-                    self.simulation.problem,
-                    self.simulation.solver,
-                    self.control,
-                    self.state,
-                    on_accept=self._on_accept,
-                    on_failure=self._on_failure,
-                    observe=self._observer,
-                )
-        except KeyboardInterrupt:
-            return self._interrupted()
-        except Exception as error:
-            self._record_failure(error)
-            raise
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
-        return self._finish(outcome)
-
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        if not self.is_recording:
-            raise KeyboardInterrupt
-        self.is_interrupted = True
+        # Numbers that leave their range make a step fail, with a reason; NumPy need not warn of each.
+        overflow = np.errstate(over="ignore", invalid="ignore")
+        with CompilationAnnouncer(self.progress.notice), self.progress, overflow:
+            return run_time_loop(
+                self.simulation.problem,
+                self.simulation.solver,
+                self.control,
+                self.state,
+                on_accept=self._on_accept,
+                on_failure=self._on_failure,
+                observe=self._observer,
+            )
 
     def _on_accept(self, state: State, result: StepResult, dt: float) -> None:
+        if self.control.is_done(state.time):
+            self.interrupts.hold()  # all there is left to do is to write, and that takes a moment
         # A step is recorded as a whole or not at all: an interrupt waits for that.
-        self.is_recording = True
-        self._record(state, result, dt)
-        self.is_recording = False
-        if self.is_interrupted and not self.control.is_done(state.time):
+        with self.interrupts.held():
+            self._record(state, result, dt)
+        if not self.control.is_done(state.time):
+            self._stop_together()
+
+    def _stop_together(self) -> None:
+        """Raise KeyboardInterrupt on every rank if one of them was told to stop."""
+        if self.comm is not None and self.comm.allreduce(int(self.interrupts.is_pending)):
             raise KeyboardInterrupt
 
     def _record(self, state: State, result: StepResult, dt: float) -> None:
         problem = self.simulation.problem
         self.state = state
+        # Not what is in use when a checkpoint is written: that may belong to a later attempt.
+        self.next_dt = self.control.current
         now = time.perf_counter()
         row: dict[str, float | int | str] = {
             "step": state.step,
@@ -273,6 +250,8 @@ class _Run:
             "stopped_by": result.reason,
         }
         self.measured = {f"measure.{name}": value for name, value in self.meter.evaluate(state).items()}
+        if "reaction" in self.scene.output.fields:
+            self.reactions = Snapshot(self.simulation, state).reactions
         row.update(self.measured)
         self.n_failures = 0
         if self.recorder is not None:
@@ -291,6 +270,7 @@ class _Run:
             self.progress.notice(
                 f"step {state.step + 1} with dt = {dt:.3g} s: {result.reason}; trying dt = {self.control.current:.3g} s"
             )
+        self._stop_together()
 
     def _observer(self, step: int) -> IterationObserver | None:
         if not self.trace or self.recorder is None:
@@ -305,7 +285,7 @@ class _Run:
     # ---------------------------------------------------------------------------------------------- output
 
     def _write_frame(self, state: State) -> None:
-        points = self.frames.point_data(state)
+        points = self.frames.point_data(state, self.reactions)
         cells = self.frames.cell_data(state)
         if self.recorder is not None and points is not None:
             self.recorder.frame(self.n_frames, state.time, points, cells)
@@ -320,11 +300,18 @@ class _Run:
             write_checkpoint(
                 self.folder,
                 Checkpoint(
-                    x, v, state.time, state.step, self.control.current, self.n_frames, self._seconds(), self.loaded.hash
+                    x,
+                    v,
+                    state.time,
+                    state.step,
+                    self.next_dt,
+                    self.n_frames,
+                    self._seconds(),
+                    self.loaded.hash,
+                    self.mesh_files,
                 ),
             )
-        self.simulation.solver.reset()
-        self.simulation.linear_solver.reset()
+        self.simulation.reset()
         self.last_saved = state.step
 
     def _restore(self, checkpoint: Checkpoint) -> State:
@@ -340,7 +327,7 @@ class _Run:
     def _seconds(self) -> float:
         return self.earlier_seconds + time.perf_counter() - self.begin
 
-    def _finish(self, outcome: LoopOutcome) -> int:
+    def _finish(self, outcome: LoopOutcome) -> _End:
         verdicts, quantities = self._judge(outcome)
         failed = [v for v in verdicts if not v["passed"]]
         if not outcome.finished:
@@ -353,16 +340,11 @@ class _Run:
         self._record_end(outcome.state, status, reason, verdicts, quantities)
         if self.last_saved != outcome.state.step:
             self._save(outcome.state)
-        self._say_outcome(status, reason, outcome.state, verdicts)
-        self.simulation.solver.destroy()
-        self.simulation.linear_solver.destroy()
-        return code
+        self.simulation.destroy()
+        return _End(code, status, reason, outcome.state, verdicts)
 
     def _judge(self, outcome: LoopOutcome) -> tuple[list[dict[str, Any]], dict[str, float]]:
         """Verdicts of `expect` and the quantities at the end; the same on all ranks."""
-        if self.resumed and outcome.finished and outcome.state.step == self.first_step:
-            earlier = (list(self.earlier_facts.get("expect", [])), dict(self.earlier_facts.get("quantities", {})))
-            return earlier if self.comm is None else self.comm.bcast(earlier, root=0)
         quantities = standard_quantities(self.simulation, outcome.state) | self.measured
         if not outcome.finished:
             return [], quantities
@@ -373,24 +355,34 @@ class _Run:
             history = self.comm.bcast(history, root=0)
         return check_expectations(self.simulation, outcome.state, history), quantities
 
-    def _interrupted(self) -> int:
-        # Gathering needs every rank; ranks may be interrupted in different steps, so only a serial run saves.
-        if self.comm is None:
+    def _interrupted(self) -> _End:
+        if self.last_saved < 0:
+            self._mark_interrupted()
+            advice = "nothing was computed yet; --resume begins again"
+        else:
             if self.last_saved != self.state.step:
                 self._save(self.state)
             self._record_end(self.state, "interrupted", "interrupted by the user", [])
-            self._say_outcome("interrupted", f"go on with --resume from step {self.state.step}", self.state, [])
-        elif self.recorder is not None:
-            self.recorder.close()
-            print(f"interrupted; go on with --resume from step {self.last_saved}", file=sys.stderr)
-        return _INTERRUPTED
+            advice = f"go on with --resume from step {self.state.step}"
+        return _End(INTERRUPTED, "interrupted", advice, self.state, [])
+
+    def _mark_interrupted(self) -> None:
+        if self.is_first:
+            # A launcher ends the ranks that are left when one has died.
+            who = "the user" if self.comm is None else "the user, or by the launcher"
+            mark_ended(self.folder, "interrupted", f"interrupted by {who}")
 
     def _record_failure(self, error: Exception) -> None:
         """Let the result say that the run is over; on several ranks the others may be waiting elsewhere."""
         if self.comm is None:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            with suppress(OutputError):
-                self._record_end(self.state, "failed", reason, [])
+            self.interrupts.hold()
+            try:
+                self._record_end(self.state, "failed", reason_of(error), [])
+            except Exception:  # whatever made the run fail may keep its fields from being written
+                mark_ended(self.folder, "failed", reason_of(error))
+            finally:
+                if self.recorder is not None:
+                    self.recorder.close()
 
     def _record_end(
         self,
@@ -400,7 +392,7 @@ class _Run:
         verdicts: list[dict[str, Any]],
         quantities: Mapping[str, float] | None = None,
     ) -> None:
-        points = self.frames.point_data(state)
+        points = self.frames.point_data(state, self.reactions)
         cells = self.frames.cell_data(state)
         if self.recorder is not None and points is not None:
             facts = {
@@ -412,22 +404,24 @@ class _Run:
             }
             self.recorder.finish(status, reason, facts, points, cells)
 
-    def _say_outcome(self, status: str, reason: str, state: State, verdicts: list[dict[str, Any]]) -> None:
+    def _say(self, end: _End) -> None:
         if not self.is_first:
             return
-        for v in verdicts:
+        for v in end.verdicts:
             mark = "ok" if v["passed"] else "FAILED"
             print(f"expect: {describe_verdict(v)}: {mark}")
-        text = f"{status}: {state.step} steps to t = {state.time:.6g} s in {self._seconds():.1f} s; {self.folder}"
-        stream = sys.stdout if status == "done" else sys.stderr
-        if not (self.quiet and status == "done"):
-            print(f"{text}\n{reason}" if reason else text, file=stream, flush=True)
+        done = f"{end.state.step} steps to t = {end.state.time:.6g} s in {self._seconds():.1f} s"
+        text = f"{end.status}: {done}; {self.folder}"
+        stream = sys.stdout if end.status == "done" else sys.stderr
+        if not (self.quiet and end.status == "done"):
+            print(f"{text}\n{end.advice}" if end.advice else text, file=stream, flush=True)
 
     def _resolved(self) -> dict[str, Any]:
         resolved: dict[str, Any] = self.scene.model_dump(mode="json", exclude_none=True)
         for body in resolved["bodies"].values():
-            if "file" in body["mesh"]:
-                body["mesh"]["file"] = str((self.loaded.base_dir / body["mesh"]["file"]).resolve())
+            for source in (body["mesh"], body.get("skin", {})):
+                if "file" in source:
+                    source["file"] = str((self.loaded.base_dir / source["file"]).resolve())
         return resolved
 
     def _facts(self) -> dict[str, Any]:

@@ -9,20 +9,15 @@ from typing import Any
 import numpy as np
 
 from femdeform import registry
-from femdeform.contact.obstacles import make_shape
-from femdeform.contact.penalty import PenaltyContact
 from femdeform.errors import InputError, MissingDependencyError
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import BodyInput, Discretization, discretize
 from femdeform.fem.incremental_potential import IncrementalPotential, State
-from femdeform.fem.node_sets import NodeSets, facet_measure
 from femdeform.materials import law_for, supports_codimension
+from femdeform.run.contacts import make_contacts
 from femdeform.scene import schema
 from femdeform.step_problem import StepSolver
-from femdeform.types import FloatArray, IntArray, Mesh
-
-# Slip velocity up to which friction sticks, as a part of the scene's size per second.
-_STICK_VELOCITY = 1e-3
+from femdeform.types import IntArray, Mesh
 
 
 @dataclass
@@ -53,6 +48,16 @@ class Simulation:
     linear_solver: Any
     state: State
     notices: list[str] = field(default_factory=list)
+
+    def reset(self) -> None:
+        """Let the solvers forget what they learnt: the next step depends on its state alone."""
+        self.solver.reset()
+        self.linear_solver.reset()
+
+    def destroy(self) -> None:
+        """Free what the solvers hold."""
+        self.solver.destroy()
+        self.linear_solver.destroy()
 
 
 def body_input(name: str, body: Any, mesh: Mesh) -> BodyInput:
@@ -137,9 +142,9 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
     discretization = discretize(bodies, cell_rank, comm)
     conditions = Conditions(scene, meshes, discretization)
     notices += conditions.notices
-    contacts = make_contacts(scene, meshes, discretization)
+    contacts, couplings = make_contacts(scene, meshes, discretization, notices)
     quasistatic = scene.time.scheme == "quasistatic"
-    problem = IncrementalPotential(discretization, conditions, quasistatic, contacts)
+    problem = IncrementalPotential(discretization, conditions, quasistatic, contacts, couplings=couplings)
     linear_solver = make_linear_solver(scene.linear_solver, ranks, notices)
     solver = registry.resolve(registry.SOLVERS[scene.solver.method])(scene.solver, linear_solver)
     velocity = np.zeros_like(discretization.points) if quasistatic else conditions.initial_velocity.copy()
@@ -147,50 +152,3 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
     return Simulation(
         scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices
     )
-
-
-def make_contacts(
-    scene: schema.DeformableScene, meshes: Mapping[str, Mesh], discretization: Discretization
-) -> list[PenaltyContact]:
-    """Contact of every obstacle with the surface nodes this rank owns."""
-    if not scene.obstacles:
-        return []
-    nodes, areas, default = _surface(scene, meshes, discretization)
-    size = max(float(np.linalg.norm(np.ptp(mesh.points, axis=0))) for mesh in meshes.values())
-    contacts = []
-    for obstacle in scene.obstacles:
-        stiffness = areas * (default if obstacle.stiffness is None else obstacle.stiffness)
-        velocity = np.zeros(discretization.dim) if obstacle.velocity is None else np.array(obstacle.velocity)
-        contacts.append(
-            PenaltyContact(
-                make_shape(obstacle), nodes, stiffness, obstacle.friction, velocity, _STICK_VELOCITY * size
-            )
-        )
-    return contacts
-
-
-def _surface(
-    scene: schema.DeformableScene, meshes: Mapping[str, Mesh], discretization: Discretization
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Owned surface nodes, the area around each [m^2], and the default stiffness per area there [Pa/m]."""
-    sets = NodeSets(meshes, discretization.bodies)
-    area = np.zeros(discretization.partition.n_global)
-    default = np.zeros_like(area)
-    for name, mesh in meshes.items():
-        body = scene.bodies[name]
-        facets = mesh.facet_groups["boundary"] if body.kind == "solid" else mesh.cells
-        measure = facet_measure(mesh.points, facets)
-        if body.kind == "rod":
-            measure = measure * np.sqrt(body.cross_section)
-        numbers = sets.facet_nodes(name, facets)
-        # Equal shares: the corners of a quadratic facet carry no load in the energy, but they must not fall through.
-        np.add.at(area, numbers, np.repeat((measure / numbers.shape[1])[:, None], numbers.shape[1], axis=1))
-        materials = [body.material, *body.regions.values()]
-        modulus = max(material.youngs_modulus for material in materials if material is not None)
-        edges = mesh.points[facets]
-        length = float(np.mean(np.linalg.norm(edges - np.roll(edges, 1, axis=1), axis=2)))
-        default[np.unique(numbers)] = 10.0 * modulus / length
-    chosen = np.flatnonzero(area > 0.0)
-    local = discretization.local_numbers[chosen]
-    owned = (local >= 0) & (local < discretization.partition.n_owned)
-    return local[owned], area[chosen[owned]], default[chosen[owned]]

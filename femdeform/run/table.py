@@ -10,9 +10,9 @@ import contextlib
 import csv
 import os
 from collections.abc import Mapping, Sequence
-from io import StringIO
+from io import FileIO, StringIO
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ class Table:
         self.path = path
         self._standard = tuple(columns)
         self._columns: list[str] | None = None
-        self._file: TextIO | None = None
+        self._file: FileIO | None = None
         if path.exists():
             self._columns = _read_lines(path)[0] or None
 
@@ -65,9 +65,9 @@ class Table:
         lines.append([_cell(row[name]) if name in row else "" for name in self._columns])
         with atomic.writing(self.path):
             if self._file is None:
-                self._file = self.path.open("a", encoding="utf-8", newline="")
-            self._file.write(_to_csv(lines))
-            self._file.flush()
+                # Without a buffer: what a full disk leaves in one would be written later, behind our back.
+                self._file = FileIO(self.path, "a")
+            _append(self._file, _to_csv(lines).encode("utf-8"))
 
     def sync(self) -> None:
         """Flush to the disk itself."""
@@ -78,10 +78,22 @@ class Table:
     def close(self) -> None:
         """Close the file; the next row would open it again."""
         if self._file is not None:
-            # Every row was flushed; what a full disk left in the buffer has been reported already.
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):  # every row is with the system already
                 self._file.close()
             self._file = None
+
+
+def _append(file: FileIO, data: bytes) -> None:
+    """Write all of it or, where the disk is full, nothing."""
+    size = os.fstat(file.fileno()).st_size
+    rest = memoryview(data)
+    try:
+        while rest:
+            rest = rest[file.write(rest) :]
+    except BaseException:
+        with contextlib.suppress(OSError):
+            file.truncate(size)
+        raise
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:

@@ -10,6 +10,8 @@ import numpy as np
 from femdeform import registry
 from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
+from femdeform.scene.contact_checks import contact_findings
+from femdeform.scene.contact_schema import IPCMethod
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
@@ -17,6 +19,7 @@ from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.partial import sound_part
 from femdeform.scene.quantity_checks import quantity_findings
 from femdeform.scene.selection_checks import COMPONENTS, hint_of, judge_selection, vectors_inside
+from femdeform.scene.skins import load_skins
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
@@ -47,6 +50,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *_dimension_findings(loaded.scene, meshes),
         *_selection_findings(loaded.scene, meshes, frozenset(coarse)),
         *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
+        *contact_findings(loaded.scene, meshes, frozenset(coarse)),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
     ]
@@ -65,6 +69,8 @@ def _body_findings(scene: schema.DeformableScene, meshes: Mapping[str, Mesh]) ->
             cells = {"line": "lines", "triangle": "triangles", "tetra": "tetrahedra"}[mesh.cell_type]
             message = f"a {body.kind} cannot be made of {cells} in {mesh.dim}D; they make a {fitting}"
             yield Finding((*path, "kind"), message)
+        if getattr(body, "skin", None) is not None and mesh.cell_type != "tetra":
+            yield Finding((*path, "skin"), "only bodies of tetrahedra can have a skin")
         if body.kind != "solid":
             message = "the linear law turns with the body in solids only; choose another law"
             if isinstance(body.material, schema.LinearMaterial):
@@ -208,6 +214,9 @@ def _mixed_findings(scene: schema.DeformableScene, solver: MixedFEMSolver) -> It
                 yield Finding(("bodies", name, *place, "law"), message)
     if solver.global_solve == "kkt_cg" and scene.time.scheme == "quasistatic":
         yield Finding(("solver", "global_solve"), "kkt_cg needs inertia; use condensed or kkt_direct in statics")
+    if solver.scheme == "alternating" and isinstance(scene.contact, IPCMethod):
+        message = "alternating starts from free flight, which may end inside a barrier; use converged with contact ipc"
+        yield Finding(("solver", "scheme"), message)
 
 
 # ----------------------------------------------------------------------------------------------- whole files
@@ -234,4 +243,8 @@ def check_file(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
     else:
         faults = []
     survey = survey_meshes(loaded)
+    try:
+        load_skins(loaded)
+    except InputError as error:
+        faults += error.faults
     return sort_faults([*faults, *survey.faults, *check_scene(loaded, survey.meshes, survey.coarse)])

@@ -67,11 +67,19 @@ class Document:
     readable: bool = True
 
 
-def read_document(path: Path) -> Document:
-    """Read a file; whatever is wrong with it is in the `faults` of the result, nothing is raised."""
+def read_document(path: Path, kind: str = "scene") -> Document:
+    """Read a file; whatever is wrong with it is in the `faults` of the result, nothing is raised.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    kind : str
+        What it is a file of, for messages.
+    """
     try:
         if path.is_dir():
-            return _unreadable(0, "is a folder, not a scene file")
+            return _unreadable(0, f"is a folder, not a {kind} file")
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
@@ -91,14 +99,14 @@ def read_document(path: Path) -> Document:
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         return _unreadable(line, f"is not UTF-8 text (byte 0x{raw[error.start]:02x})")
-    return parse_document(text)
+    return parse_document(text, kind)
 
 
-def parse_document(text: str) -> Document:
+def parse_document(text: str, kind: str = "scene") -> Document:
     """Parse YAML text; whatever is wrong with it is in the `faults` of the result, nothing is raised."""
     document = parse_value(text)
     if document.readable and document.data is None and not document.faults:
-        return _unreadable(1, "is empty; a scene is a mapping that starts with `schema_version: 1`")
+        return _unreadable(1, f"is empty; a {kind} is a mapping that starts with `schema_version: 1`")
     return document
 
 

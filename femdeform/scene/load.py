@@ -16,6 +16,8 @@ from femdeform.scene.overrides import Override, apply_overrides
 from femdeform.types import Mesh
 
 if TYPE_CHECKING:
+    from pydantic import BaseModel
+
     from femdeform.scene.schema import DeformableScene
 
 
@@ -47,11 +49,10 @@ class Source:
     def fault(self, key: KeyPath, message: str) -> Fault:
         """Return a fault at a key, with the line or the override that it came from."""
         for length in range(len(key), 0, -1):
+            # What an override has replaced had lines of its own, further in: they say nothing any more.
             if key[:length] in self.origins:
                 return Fault(self.origins[key[:length]].source, 0, format_key(key), message)
-            if key[:length] in self.lines:
-                return Fault(self.file, self.lines[key[:length]], format_key(key), message)
-        return Fault(self.file, 1, format_key(key), message)
+        return Fault(self.file, self.line(key), format_key(key), message)
 
 
 @dataclass(frozen=True)
@@ -123,14 +124,13 @@ def load_scene(path: Path, overrides: Sequence[str] = ()) -> LoadedScene:
     if not document.readable:
         raise InputError(sort_faults(faults))
     data, origins, problems = apply_overrides(document.data, overrides)
-    source = Source(file, document.lines, origins)
-    faults += problems
-    faults += _schema_faults(document, data, source)
-    if faults:
-        raise InputError(sort_faults(faults))
-
     from femdeform.scene.schema import DeformableScene
 
+    source = Source(file, document.lines, origins)
+    faults += problems
+    faults += schema_faults(DeformableScene, document, data, source)
+    if faults:
+        raise InputError(sort_faults(faults))
     return LoadedScene(
         scene=DeformableScene.model_validate(data),
         path=path,
@@ -152,15 +152,15 @@ def sort_faults(faults: Iterable[Fault]) -> list[Fault]:
     return sorted(set(faults), key=lambda fault: (fault.line == 0, fault.file, fault.line, fault.key, fault.message))
 
 
-def _schema_faults(document: Document, data: Any, source: Source) -> list[Fault]:
-    from femdeform.scene.schema import DeformableScene
+def schema_faults(model: type[BaseModel], document: Document, data: Any, source: Source) -> list[Fault]:
+    """Everything about `data` that keeps it from being a `model`, where the text of the document is sound."""
     from femdeform.scene.validation import find_faults
 
     # Nothing is said about a placeholder, nor about a block as a whole that has one inside.
     hidden = [found.path for found in document.faults if found.hides]
     return [
         source.fault(found.path, found.message)
-        for found in find_faults(DeformableScene, data)
+        for found in find_faults(model, data)
         if not any(_is_inside(found.path, path) or _is_inside(path, found.path) for path in hidden)
     ]
 

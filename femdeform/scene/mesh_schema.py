@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -211,6 +212,35 @@ class FlagMesh(PlacedMesh):
             raise ValueError("thickness: the bar must be thinner than the cylinder")
         if self.cells[1] % 2:
             raise ValueError("cells: an even number across is needed for a node at the tip")
+        _check_cell_count(self.cells)
+        return self
+
+
+class RingMesh(PlacedMesh):
+    """A sector of a ring about the origin, from the positive x axis on; with a thickness a sector of a tube."""
+
+    recipe: Literal["ring"] = Field(
+        description="structured sector of a ring or tube; `inner`, `outer`, `start`, `end`, and `back`, `front`"
+    )
+    inner_radius: _Positive = Field(default=0.5, description="inner radius [m]")
+    outer_radius: _Positive = Field(default=1.0, description="outer radius [m]")
+    angle: Annotated[float, Field(gt=0.0, lt=2.0 * math.pi)] = Field(
+        default=0.5 * math.pi, description="angle of the sector, counter-clockwise from the x axis [rad]"
+    )
+    thickness: _Positive | None = Field(default=None, description="extent in z [m]; without: triangles in 2D")
+    cells: _Counts = Field(default=(8, 16), description="cells along the radius and around, and in z with a thickness")
+    split: Literal[5, 6] = Field(default=5, description="tetrahedra of a cell, with a thickness")
+    diagonals: Diagonals = Field(default="alternating", description=_DIAGONALS)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RingMesh:
+        if self.outer_radius <= self.inner_radius:
+            raise ValueError("outer_radius: must be larger than inner_radius")
+        wanted = 2 if self.thickness is None else 3
+        if len(self.cells) != wanted:
+            raise ValueError(f"cells: {wanted} entries are needed, not {len(self.cells)}")
+        if self.angle > 0.5001 * math.pi * self.cells[1]:
+            raise ValueError("cells: too few around; a cell may span a quarter of a turn at most")
         _check_cell_count(self.cells)
         return self
 
@@ -441,6 +471,7 @@ Recipe = (
     | RodNetMesh
     | CookMesh
     | FlagMesh
+    | RingMesh
     | BeamMesh
     | CylinderMesh
     | SphereMesh
@@ -490,6 +521,7 @@ MeshSource = Annotated[
         | Annotated[RodNetMesh, Tag("rod_net")]
         | Annotated[CookMesh, Tag("cook")]
         | Annotated[FlagMesh, Tag("flag")]
+        | Annotated[RingMesh, Tag("ring")]
         | Annotated[BeamMesh, Tag("beam")]
         | Annotated[CylinderMesh, Tag("cylinder")]
         | Annotated[SphereMesh, Tag("sphere")]

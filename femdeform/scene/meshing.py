@@ -112,23 +112,54 @@ def survey_meshes(loaded: LoadedScene) -> MeshSurvey:
 
 
 def _build(loaded: LoadedScene, name: str, source: MeshSource) -> list[Fault]:
-    """Build, check and keep one mesh; returns the faults that prevent it."""
-    key: KeyPath = ("bodies", name, "mesh")
+    """Build, check and keep the mesh of a body; returns the faults that prevent it."""
+    try:
+        mesh, notices = build_source(loaded, ("bodies", name, "mesh"), source, f"body {name}")
+    except InputError as error:
+        return list(error.faults)
+    loaded.meshes[name] = mesh
+    loaded.notices.extend(f"body {name}: {text}" for text in notices)
+    return []
+
+
+def build_source(loaded: LoadedScene, key: KeyPath, source: MeshSource, subject: str) -> tuple[Mesh, list[str]]:
+    """Build and check the mesh that a block of a scene describes.
+
+    Parameters
+    ----------
+    loaded : LoadedScene
+        The scene.
+    key : tuple of str or int
+        Where the block stands.
+    source : MeshSource
+        The block.
+    subject : str
+        What the mesh is of, for messages.
+
+    Returns
+    -------
+    mesh : Mesh
+    notices : list of str
+        What had to be changed, and what is odd about it.
+
+    Raises
+    ------
+    InputError
+        With the line of the block, or of the key that is to blame.
+    """
     if isinstance(source, FileMesh):
         problem = _missing_file(loaded, source)
         if problem:
-            return [loaded.fault((*key, "file"), problem)]
+            raise InputError([loaded.fault((*key, "file"), problem)])
     notices: list[str] = []
     try:
         mesh = registry.resolve(registry.MESH["build"])(source, loaded.base_dir, notices)
-        mesh, found = registry.resolve(registry.MESH["check"])(mesh, f"body {name}")
+        mesh, found = registry.resolve(registry.MESH["check"])(mesh, subject)
     except InputError as error:
-        return [_located(loaded, key, source, found.message) for found in error.faults]
+        raise InputError([_located(loaded, key, source, fault.message) for fault in error.faults]) from None
     except MemoryError:
-        return [loaded.fault(key, "the mesh does not fit into memory")]
-    loaded.meshes[name] = mesh
-    loaded.notices.extend(f"body {name}: {text}" for text in [*notices, *found])
-    return []
+        raise InputError([loaded.fault(key, "the mesh does not fit into memory")]) from None
+    return mesh, [*notices, *found]
 
 
 def _located(loaded: LoadedScene, key: KeyPath, source: MeshSource, message: str) -> Fault:
@@ -136,7 +167,9 @@ def _located(loaded: LoadedScene, key: KeyPath, source: MeshSource, message: str
     word, colon, rest = message.removeprefix("mesh: ").partition(": ")
     if colon and word in type(source).model_fields:
         return loaded.fault((*key, word), rest)
-    return loaded.fault((*key, "file") if isinstance(source, FileMesh) else key, message)
+    if isinstance(source, FileMesh):
+        return loaded.fault((*key, "file"), f"{source.file}: {message}")
+    return loaded.fault(key, message)
 
 
 def _missing_file(loaded: LoadedScene, source: FileMesh) -> str:

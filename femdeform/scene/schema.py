@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.quantity_schema import Expect, Quantity
@@ -125,6 +126,11 @@ class _BodyModel(SceneModel):
 
 class SolidBody(_BodyModel):
     kind: Literal["solid"] = Field(default="solid", description="tetrahedra in 3D, triangles (plane strain) in 2D")
+    skin: MeshSource | None = Field(
+        default=None,
+        description="surface of triangles that pictures show in place of a body of tetrahedra; it follows the cells "
+        "around its points",
+    )
 
 
 class MembraneBody(_BodyModel):
@@ -402,7 +408,9 @@ class OnFailure(SceneModel):
     min_dt: Positive | None = Field(default=None, description="smallest step before stopping [s]; default dt / 64")
 
 
-OutputField = Literal["displacement", "velocity", "von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"]
+OutputField = Literal[
+    "displacement", "velocity", "reaction", "von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"
+]
 
 
 class Output(SceneModel):
@@ -424,6 +432,7 @@ class DeformableScene(SceneModel):
         default_factory=list, description="supports, motions, loads, initial velocities"
     )
     obstacles: list[Obstacle] = Field(default_factory=list, description="rigid obstacles")
+    contact: Contact = Field(default=PenaltyMethod(), description="how contact is treated")
     gravity: Vector | None = Field(default=None, description="acceleration of gravity [m/s^2]")
     gravity_amplitude: Amplitude | None = Field(
         default=None,

@@ -32,7 +32,7 @@ class LinearResult:
 
 
 class LinearSolver(Protocol):
-    """Solves K x = b with symmetric K, again and again with the same sparsity."""
+    """Solves K x = b with symmetric K, again and again, mostly with the same sparsity (`SparseHessian.pattern`)."""
 
     name: str
 

@@ -18,6 +18,7 @@ from solvers.linear import coo
 from solvers.linear.interface import LinearResult
 
 _numbers = itertools.count()
+_OUT_OF_MEMORY = 55  # PETSC_ERR_MEM
 
 
 @dataclass(frozen=True)
@@ -74,8 +75,8 @@ def _cause(error: Exception) -> str:
 class KSP:
     """A PETSc Krylov solver (or a direct one, as ``preonly``) that keeps its matrix between solves.
 
-    The sparsity is fixed at the first solve; each further solve sets values only, and factorisations reuse their
-    symbolic part.
+    As long as the sparsity stays (`SparseHessian.pattern` is the same object) a solve sets values only, and
+    factorisations reuse their symbolic part; a new pattern makes a new matrix.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ class KSP:
 
     Limitations
     -----------
-    The sparsity must not change during the life of an object.
+    A change of sparsity, as contact between bodies makes it, costs a new symbolic factorisation.
     """
 
     def __init__(self, preset: str = "newton-mumps", options: Mapping[str, Any] | None = None) -> None:
@@ -110,6 +111,7 @@ class KSP:
         self._matrix: Any = None
         self._solver: Any = None
         self._modes: Any = None
+        self._pattern: object = None
         self._checked = False
 
     def _set_up(self, K: SparseHessian) -> None:
@@ -152,13 +154,17 @@ class KSP:
         """Solve K x = b; see `LinearSolver`."""
         partition, dim = K.partition, K.dim
         try:
-            if self._solver is None:
+            if self._solver is None or K.pattern is not self._pattern:
+                self._free()
                 self._set_up(K)
+                self._pattern = K.pattern
             coo.set_values(self._matrix, K.values)
             self._b.setArray(b[: partition.n_owned].ravel())
             self._x.set(0.0)
             self._solver.solve(self._b, self._x)
         except self._PETSc.Error as error:
+            if error.ierr == _OUT_OF_MEMORY:
+                raise MemoryError("PETSc") from None
             if self._checked:
                 return LinearResult(np.zeros_like(b), 0, False, f"PETSc: {_cause(error)}")
             # The first solve is where PETSc reads its options.
@@ -185,6 +191,9 @@ class KSP:
 
     def destroy(self) -> None:
         """Free the matrix, the solver and their options."""
+        self._free()
+
+    def _free(self) -> None:
         if self._solver is not None:
             for thing in (self._solver, self._matrix, self._x, self._b):
                 thing.destroy()
@@ -194,3 +203,5 @@ class KSP:
             for key in self._options:
                 table.delValue(key)
             self._solver = None
+            self._modes = None
+            self._pattern = None

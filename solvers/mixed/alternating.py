@@ -81,10 +81,10 @@ class Alternating:
             outer = x
             for group in self.groups:
                 group.freeze()
-            failure = ""
+            spent = None
             for _ in range(options.inner_iterations):
-                failure = budget.spent(iteration) or ""
-                if failure:
+                spent = budget.spent(iteration)
+                if spent is not None:
                     break
                 for group in self.groups:
                     group.rotate(x, alpha)
@@ -92,7 +92,7 @@ class Alternating:
                 change, count, failure = self._global_solve(problem, x)
                 linear_iterations += count
                 if failure:
-                    break
+                    return result(failure)
                 x = x + change
                 for group in self.groups:
                     group.update_stretch()
@@ -102,16 +102,18 @@ class Alternating:
                         row = self._row(problem, x, iteration, count)
                     row["seconds"] = budget.elapsed()
                     observe(row, x)
-            if failure:
-                return result(failure)
+            if x is outer:
+                assert spent is not None
+                return result(spent)
             length, x = self._line_search(problem, outer, x)
             if length == 0.0:
                 return result("the line search failed")
+            self._known = [start, (x.copy(), [group.S.copy() for group in self.groups])]
             norm = problem.residual_norm(problem.gradient(x))
             if norm <= options.tolerance * problem.force_scale:
-                self._known = [start, (x.copy(), [group.S.copy() for group in self.groups])]
                 return result("residual below tolerance", converged=True)
-        self._known = [start, (x.copy(), [group.S.copy() for group in self.groups])]
+            if spent is not None:
+                return result(spent)
         return result("fixed number of iterations", is_fixed_work=True)
 
     def _stretches_at(self, problem: Any, x: FloatArray) -> list[FloatArray] | None:
@@ -201,7 +203,7 @@ class Alternating:
         goals = [group.S.copy() for group in self.groups]
         length = problem.max_step(begin, change)
         for _ in range(1 + search.max_backtracks):
-            x = begin + length * change
+            x = end if length == 1.0 else begin + length * change
             reached = problem.value(x)
             allowed = value + search.armijo * length * min(slope, 0.0) + _ROUNDING * magnitude
             is_lower = reached <= allowed

@@ -43,7 +43,7 @@ def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, None)
 
     def version(name: str) -> str:
-        if name in ("petsc4py", "mpi4py", "ipctk", "imageio-ffmpeg", "scipy"):
+        if name in ("petsc4py", "mpi4py", "imageio-ffmpeg", "scipy"):
             raise metadata.PackageNotFoundError(name)
         return "1.0"
 
@@ -54,7 +54,6 @@ def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["scipy"] == "MISSING"
     assert found["PETSc"] == "not found (petsc4py is not installed)"
     assert found["library"] == "not found (mpi4py is not installed)"
-    assert found["ipctk"] == "not found, needed for contact between deformable bodies"
     assert found["ffmpeg"] == "not found, needed for movies"
     assert found["numpy"] == "1.0"
 

@@ -28,7 +28,13 @@ def test_every_word_of_the_schema_has_its_class() -> None:
 
 
 @pytest.mark.parametrize(
-    "spec", [*registry.SOLVERS.values(), *registry.LINEAR_SOLVERS.values(), *registry.MESH.values()]
+    "spec",
+    [
+        *registry.SOLVERS.values(),
+        *registry.LINEAR_SOLVERS.values(),
+        *registry.MESH.values(),
+        registry.INITIAL_CONTACT,
+    ],
 )
 def test_every_module_is_there(spec: str) -> None:
     module, colon, attribute = spec.partition(":")

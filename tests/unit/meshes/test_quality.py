@@ -123,7 +123,7 @@ def test_points_not_finite_and_unreferenced_are_reported_together() -> None:
     points[4, 1] = np.inf
     points[6, 0] = np.nan
     messages = faults(replace(mesh, points=points))
-    assert messages[0] == "2 points that are not finite: 4, 6"
+    assert messages[0] == "2 points (counted from 0) that are not finite: 4 (at 0.0 inf 1.0), 6 (at nan 1.0 1.0)"
     assert messages[1].startswith("2 unreferenced points (no cell uses them): 8, 9; `drop_unreferenced: ")
     assert len(messages) == 2
 

@@ -280,6 +280,29 @@ def test_threads_take_turns() -> None:
     assert len(set(found.values())) == 1
 
 
+_SIGNALLED = """
+import os, signal
+from meshes.gmsh_session import gmsh_session
+
+numbers = (signal.SIGTERM, signal.SIGINT)
+for number in numbers:
+    signal.signal(number, lambda number, frame: print(number))
+with gmsh_session("ball") as gmsh:
+    gmsh.model.occ.addSphere(0, 0, 0, 1)
+    for number in numbers:
+        os.kill(os.getpid(), number)
+for number in numbers:
+    os.kill(os.getpid(), number)
+"""
+
+
+def test_signals_are_heard_during_meshing_and_after_it() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    done = subprocess.run([sys.executable, "-c", _SIGNALLED], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["15", "2", "15", "2"]
+
+
 def test_foreign_gmsh_session_is_left_as_it_was() -> None:
     gmsh = pytest.importorskip("gmsh")
     reference = build(recipe="sphere", element_size=0.2)

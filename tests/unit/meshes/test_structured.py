@@ -141,6 +141,29 @@ def test_flag_fits_the_cylinder(check_solid: Callable[..., None]) -> None:
     np.testing.assert_allclose(mesh.points[mesh.group_nodes("right")][:, 0], 0.6, rtol=1e-12)
 
 
+@pytest.mark.parametrize("thickness", [None, 0.3])
+def test_ring(thickness: float | None, check_solid: Callable[..., None]) -> None:
+    more = {} if thickness is None else {"thickness": thickness}
+    cells = [3, 40] if thickness is None else [3, 40, 2]
+    mesh = build(recipe="ring", inner_radius=1.0, outer_radius=2.0, angle=2.5, cells=cells, **more)
+    check_solid(mesh)
+    for name, radius in (("inner", 1.0), ("outer", 2.0)):
+        side = mesh.points[mesh.group_nodes(name), :2]
+        np.testing.assert_allclose(np.hypot(*side.T), radius, rtol=1e-12)
+    for name, angle in (("start", 0.0), ("end", 2.5)):
+        cut = mesh.points[mesh.group_nodes(name)]
+        np.testing.assert_allclose(np.arctan2(cut[:, 1], cut[:, 0]), angle, atol=1e-12)
+    # Chords in place of arcs: every sector of angle d has the area of its two triangles, r^2 sin(d) / 2.
+    area = 40 * 0.5 * (2.0**2 - 1.0**2) * np.sin(2.5 / 40)
+    assert signed_measures(mesh.points, mesh.cells).sum() == pytest.approx(area * (thickness or 1.0))
+
+
+def test_ring_with_too_few_cells_is_refused() -> None:
+    with pytest.raises(ValueError, match="too few around"):
+        build(recipe="ring", angle=3.2, cells=[2, 2])
+    assert build(recipe="ring", cells=[1, 1]).n_cells == 2
+
+
 def test_rod() -> None:
     mesh = build(recipe="rod", start=[1.0, 0.0, 0.0], end=[1.0, 3.0, 4.0], cells=10)
     np.testing.assert_allclose(measures(mesh.points, mesh.cells), 0.5)

@@ -1,4 +1,4 @@
-"""Checkpoints: what is written comes back to the bit, what is damaged is noticed."""
+"""Checkpoints: what is written comes back to the bit. Damaged ones: tests/robustness."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
-from femdeform.errors import InputError, OutputError
+from femdeform.errors import InputError
 from femdeform.run.checkpoint import FILE_NAME, Checkpoint, is_unsaved, read_checkpoint, write_checkpoint
 
 
@@ -19,7 +18,7 @@ def checkpoint() -> Checkpoint:
     rng = np.random.default_rng(0)
     x, v = rng.standard_normal((50, 3)), rng.standard_normal((50, 3))
     x[0, 0], v[0, 0] = 0.1 + 0.2, 5e-324
-    return Checkpoint(x, v, 0.1 + 0.2, 7, 0.0125, 3, 12.5, "abc")
+    return Checkpoint(x, v, 0.1 + 0.2, 7, 0.0125, 3, 12.5, "abc", {"beam": "0f"})
 
 
 def test_round_trip(tmp_path: Path, checkpoint: Checkpoint) -> None:
@@ -40,21 +39,6 @@ def test_a_new_one_replaces_the_old_one(tmp_path: Path, checkpoint: Checkpoint) 
     assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
 
 
-def test_a_failed_write_leaves_the_old_one(
-    tmp_path: Path, checkpoint: Checkpoint, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_checkpoint(tmp_path, checkpoint)
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(h5py.Group, "create_dataset", full)
-    with pytest.raises(OutputError, match="disk is full"):
-        write_checkpoint(tmp_path, replace(checkpoint, step=8))
-    assert read_checkpoint(tmp_path).step == 7
-    assert [path.name for path in tmp_path.iterdir()] == [FILE_NAME]
-
-
 def test_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no checkpoint to resume from"):
         read_checkpoint(tmp_path)
@@ -66,41 +50,12 @@ def test_of_another_scene(tmp_path: Path, checkpoint: Checkpoint) -> None:
         read_checkpoint(tmp_path, "xyz")
 
 
-@pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "text", "no x", "future"])
-def test_damage(tmp_path: Path, checkpoint: Checkpoint, damage: str) -> None:
-    write_checkpoint(tmp_path, checkpoint)
-    path = tmp_path / FILE_NAME
-    data = bytearray(path.read_bytes())
-    if damage == "empty":
-        path.write_bytes(b"")
-    elif damage == "cut":
-        path.write_bytes(data[: len(data) // 2])
-    elif damage == "flipped":
-        place = data.find(checkpoint.x.tobytes()[100:200])
-        assert place > 0
-        data[place] ^= 0x10
-        path.write_bytes(data)
-    elif damage == "text":
-        path.write_text("not HDF5")
-    elif damage == "no x":
-        with h5py.File(path, "a") as file:
-            del file["x"]
-    else:
-        with h5py.File(path, "a") as file:
-            file.attrs["version"] = 99
-    with pytest.raises(InputError) as caught:
-        read_checkpoint(tmp_path)
-    (fault,) = caught.value.faults
-    assert fault.file == str(path)
-    assert "version 99" in fault.message if damage == "future" else "damaged" in fault.message
-    assert "\n" not in str(fault)
-
-
 def test_a_run_that_ended_before_its_first_checkpoint(tmp_path: Path, checkpoint: Checkpoint) -> None:
     assert not is_unsaved(tmp_path)  # nothing was run there
     result = tmp_path / "result.json"
-    result.write_text(json.dumps({"status": "running"}))
-    assert is_unsaved(tmp_path)
+    for status in ("running", "interrupted", "failed"):
+        result.write_text(json.dumps({"status": status}))
+        assert is_unsaved(tmp_path)
     result.write_text(json.dumps({"status": "done"}))
     assert not is_unsaved(tmp_path)
     result.write_text("{")

@@ -14,6 +14,7 @@ from scenario import block, body, build, material, quasistatic, run, scene, step
 from femdeform.errors import InputError
 from femdeform.run.expectations import check_expectations, describe_verdict, time_to_reach
 from femdeform.run.quantities import Meter, standard_quantities
+from femdeform.run.result import Result
 from femdeform.run.runner import run_scene
 from femdeform.scene.quantity_schema import ExpectedTime
 
@@ -243,7 +244,7 @@ def test_a_run_writes_what_it_measures_and_keeps_it_when_resumed(tmp_path: Path)
     assert facts["quantities"]["measure.tip"] == float(rows[-1]["measure.tip"])
     assert facts["quantities"]["measure.force"] == facts["expect"][1]["computed"]
     assert set(facts["quantities"]) >= {"volume_ratio", "elastic_energy", "max_displacement"}
-    # A finished run is resumed to its own verdicts: the forces of its last step are not known any more.
+    # A finished run has nothing left to do, and says so; its result stays as it is.
     assert run_scene(path, out=out, quiet=True, resume=True) == 0
     again = json.loads((out / "result.json").read_text())
     assert (again["expect"], again["quantities"]) == (facts["expect"], facts["quantities"])
@@ -275,3 +276,16 @@ def test_measuring_changes_nothing() -> None:
         meter.evaluate(loud.state)
         step(plain)
     np.testing.assert_array_equal(loud.state.x, plain.state.x)
+
+
+def test_reactions_can_be_drawn(tmp_path: Path) -> None:
+    """The nodal forces of the last frame add up to what the history measured; the first frame has none."""
+    data = falling() | {"output": {"fields": ["displacement", "reaction"]}}
+    assert run_scene(write(data, tmp_path / "scene.yaml"), out=tmp_path / "out", quiet=True) == 0
+    result = Result.open(tmp_path / "out")
+    for frame in (result.read_frame(-1), result.read_final()):
+        reaction = frame.point_data["reaction"]
+        held = frame.points[:, 0] == 0.0
+        assert not reaction[~held].any()
+        assert reaction[:, 1].sum() == pytest.approx(result.history["measure.force"][-1], rel=1e-6)
+    assert not result.read_frame(0).point_data["reaction"].any()

@@ -1,28 +1,21 @@
-"""`femdeform run` from file to result folder: failure, expectations, interruption, resumption, fallback."""
+"""`femdeform run` from file to result folder: expectations, facts, fallback. What goes wrong: tests/robustness."""
 
 from __future__ import annotations
 
-import csv
-import json
 import os
-import random
 import re
-import signal
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from scenario import block, body, material, quasistatic, scene, write
+from running import bar, expecting, facts, rolling
+from scenario import body, material, quasistatic, scene, write
 from scipy.optimize import brentq
 
-from femdeform.errors import InputError
 from femdeform.run import runner
 from femdeform.run.checkpoint import read_checkpoint
-from femdeform.run.recorder import Recorder
 from femdeform.run.result import Result
 from femdeform.run.runner import run_scene
 from femdeform.run.table import read_table
@@ -30,97 +23,7 @@ from femdeform.run.table import read_table
 Process = subprocess.CompletedProcess[str]
 
 
-def bar(*conditions: dict[str, Any], **more: Any) -> dict[str, Any]:
-    stuff = material("logarithmic_neo_hookean", E=1e5, nu=0.3)
-    bodies = {"b": body(block([1.0, 0.4, 0.4], [4, 2, 2]), stuff)}
-    return scene(bodies, {"kind": "fixed", "on": "b.left"}, *conditions, **more)
-
-
-def crushed_at(time: float, **more: Any) -> dict[str, Any]:
-    """A bar whose end moves slowly, then by more than its length at once: no step size solves that."""
-    path = {
-        "kind": "path",
-        "on": "b.right",
-        "times": [0.0, time, time + 1e-6],
-        "displacements": [[0, 0, 0], [0.1, 0, 0], [-3.0, 0, 0]],
-    }
-    return bar(path, time=quasistatic(dt=0.1), **more)
-
-
-def facts(folder: Path) -> dict[str, Any]:
-    return dict(json.loads((folder / "result.json").read_text()))
-
-
-# ------------------------------------------------------------------------------------------- failure
-
-
-def test_stop_keeps_the_last_accepted_state(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    path = write(crushed_at(0.55, on_failure={"action": "stop"}), tmp_path / "s.yaml")
-    assert run_scene(path, out=tmp_path / "out") == 3
-    result = facts(tmp_path / "out")
-    assert result["status"] == "not_converged"
-    assert result["steps"] == 5
-    assert "step 6" in result["reason"]
-    assert result["reason"] in capfd.readouterr().err
-    checkpoint = read_checkpoint(tmp_path / "out")
-    assert checkpoint.step == 5
-    assert checkpoint.time == pytest.approx(0.5)
-    final = Result.open(tmp_path / "out").read_final()
-    opened = Result.open(tmp_path / "out")
-    np.testing.assert_array_equal(final.displacement, opened.read_frame(-1).displacement)
-    np.testing.assert_array_equal(final.positions, checkpoint.x)
-    assert final.displacement[:, 0].max() == pytest.approx(0.1 * 0.5 / 0.55)
-    assert len(opened.history["step"]) == 5
-
-
-def test_halving_ends_at_the_smallest_step(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    data = crushed_at(0.55, on_failure={"action": "halve_dt", "min_dt": 0.02})
-    assert run_scene(write(data, tmp_path / "s.yaml"), out=tmp_path / "out") == 3
-    result = facts(tmp_path / "out")
-    assert "min_dt = 0.02 s" in result["reason"]
-    # 0.5, then with dt = 0.05 to 0.55, then nothing goes any more.
-    assert result["time"] == pytest.approx(0.55)
-    assert "trying dt = 0.05 s" in capfd.readouterr().err
-
-
-def test_halving_gets_over_a_hard_step(tmp_path: Path) -> None:
-    """Half a turn at once takes the law through J = 0: smaller steps for that, then the full size again."""
-    turn = {"kind": "rotate", "on": "b.right", "axis": [1, 0, 0], "rate": float(np.pi), "start": 1.0, "stop": 2.0}
-    data = bar(turn, time=quasistatic(dt=1.0, end=6.0), on_failure={"min_dt": 0.01})
-    assert run_scene(write(data, tmp_path / "s.yaml"), out=tmp_path / "out", trace=True) == 0
-    table = read_table(tmp_path / "out" / "history.csv")
-    assert table["failed_attempts"].sum() >= 1
-    assert table["dt"].min() < 1.0
-    assert np.count_nonzero(table["dt"] == 1.0) >= 4  # before and after
-    assert table["time"][-1] == pytest.approx(6.0)
-    np.testing.assert_allclose(np.cumsum(table["dt"]), table["time"], rtol=1e-12)
-    iterations = read_table(tmp_path / "out" / "iterations.csv")
-    assert set(iterations["step"]) <= set(table["step"])
-    final = Result.open(tmp_path / "out").read_final()
-    right = final.points[:, 0] == 1.0
-    np.testing.assert_allclose(final.positions[right], final.points[right] * [1, -1, -1] + [0, 0.4, 0.4], atol=1e-12)
-
-
-@pytest.mark.petsc
-def test_an_error_on_the_way_is_recorded(tmp_path: Path) -> None:
-    """PETSc tells after the first solve which options it knows; the result must not say that the run goes on."""
-    options = {"method": "ksp", "options": {"ksp_rtoll": 1e-3}}
-    path = write({**expecting(), "linear_solver": options}, tmp_path / "s.yaml")
-    with pytest.raises(InputError, match=r"linear_solver\.options\.ksp_rtoll"):
-        run_scene(path, out=tmp_path / "out")
-    result = facts(tmp_path / "out")
-    assert result["status"] == "failed"
-    assert "PETSc did not use this option" in result["reason"]
-    assert result["steps"] == 0
-    assert (tmp_path / "out" / "final.vtu").exists()
-
-
 # ------------------------------------------------------------------------------------------- expectations
-
-
-def expecting(**wanted: Any) -> dict[str, Any]:
-    pull = {"kind": "translate", "on": "b.right", "velocity": [0.1, 0.0, 0.0]}
-    return bar(pull, time=quasistatic(dt=0.5), expect=wanted)
 
 
 def test_expectations_met(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -166,15 +69,6 @@ def test_an_expectation_missed(tmp_path: Path, capfd: pytest.CaptureFixture[str]
 # ------------------------------------------------------------------------------------------- the folder
 
 
-def test_a_result_is_not_overwritten(tmp_path: Path) -> None:
-    path = write(expecting(), tmp_path / "s.yaml")
-    assert run_scene(path, out=tmp_path / "out") == 0
-    before = (tmp_path / "out" / "result.json").read_bytes()
-    with pytest.raises(InputError, match="holds a result already"):
-        run_scene(path, out=tmp_path / "out")
-    assert (tmp_path / "out" / "result.json").read_bytes() == before
-
-
 def test_facts_and_history(tmp_path: Path) -> None:
     path = write({**expecting(), "title": "Pulled bar"}, tmp_path / "pulled.yaml")
     assert run_scene(path, out=tmp_path / "out", threads=1) == 0
@@ -203,186 +97,6 @@ def test_notices_reach_the_user(tmp_path: Path, capfd: pytest.CaptureFixture[str
     assert "note: conditions[2] (rotate) takes over 9 nodes" in capfd.readouterr().err
     assert run_scene(write(data, tmp_path / "s.yaml"), out=tmp_path / "quiet", quiet=True) == 0
     assert capfd.readouterr() == ("", "")
-
-
-# ------------------------------------------------------------------------------------------- resume
-
-
-def rolling(linear_solver: dict[str, Any], steps: int = 40) -> dict[str, Any]:
-    """A soft block that falls, hits the ground askew and slides: contact, friction, failed steps are likely."""
-    return scene(
-        {"b": body(block([0.5, 0.3, 0.3], [3, 2, 2], translate=[0, 0.02, 0]), material(E=5e4, nu=0.4))},
-        {"kind": "initial_velocity", "on": "b", "velocity": [1.0, -2.0, 0.3], "angular_velocity": [0, 0, 4.0]},
-        gravity=[0.0, -9.81, 0.0],
-        obstacles=[{"kind": "plane", "point": [0, 0, 0], "normal": [0, 1, 0], "friction": 0.4}],
-        time={"scheme": "backward_euler", "dt": 0.01, "end": 0.01 * steps},
-        linear_solver=linear_solver,
-        output={"every": 3, "checkpoint_every": 4, "fields": ["displacement", "velocity", "jacobian"]},
-    )
-
-
-def without_seconds(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
-
-
-def wait_for_rows(path: Path, n: int, process: subprocess.Popen[str]) -> None:
-    """Return as soon as a table has that many rows."""
-    deadline = time.monotonic() + 120.0
-    while time.monotonic() < deadline:
-        if path.exists() and path.read_bytes().count(b"\n") > n:
-            return
-        if process.poll() is not None:
-            break
-        time.sleep(0.002)
-    raise AssertionError(f"{path} never had {n} rows; the run said: {process.communicate()}")
-
-
-def assert_same_result(one: Path, two: Path) -> None:
-    a, b = read_checkpoint(one), read_checkpoint(two)
-    for name in ("x", "v", "time", "step", "current_dt", "frames"):
-        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
-    names = sorted(path.relative_to(one) for path in one.rglob("*") if path.is_file())
-    assert names == sorted(path.relative_to(two) for path in two.rglob("*") if path.is_file())
-    compared = [name for name in names if name.suffix in (".vtu", ".pvd", ".yaml")]
-    assert len(compared) > 10
-    for name in compared:
-        assert (one / name).read_bytes() == (two / name).read_bytes(), name
-    for name in ("history.csv", "iterations.csv"):
-        assert without_seconds(one / name) == without_seconds(two / name)
-
-
-@pytest.mark.parametrize(
-    "linear_solver",
-    [
-        pytest.param({"method": "scipy_direct"}, id="scipy"),
-        pytest.param({"method": "ksp"}, id="mumps", marks=pytest.mark.petsc),
-        pytest.param({"method": "ksp", "preset": "newton-gamg"}, id="gamg", marks=pytest.mark.petsc),
-    ],
-)
-def test_kill_and_resume_to_the_bit(
-    linear_solver: dict[str, Any], tmp_path: Path, cli: Callable[..., Process], start: Callable[..., Any]
-) -> None:
-    """Killed twice without warning at random moments, the run ends as if nothing had happened."""
-    write(rolling(linear_solver), tmp_path / "s.yaml")
-    arguments = ("run", "s.yaml", "--trace", "--quiet", "--out")
-    unbroken = cli(*arguments, "whole")
-    assert unbroken.returncode == 0, unbroken.stderr
-    for first, last, more in ((1, 12, ()), (16, 28, ("--resume",))):
-        process = start(*arguments, "broken", *more)
-        wait_for_rows(tmp_path / "broken" / "history.csv", random.randint(first, last), process)
-        time.sleep(random.uniform(0.0, 0.03))
-        process.kill()
-        assert process.wait() == -signal.SIGKILL
-        assert facts(tmp_path / "broken")["status"] == "running"
-    resumed = cli(*arguments, "broken", "--resume")
-    assert resumed.returncode == 0, resumed.stderr
-    assert_same_result(tmp_path / "whole", tmp_path / "broken")
-    assert facts(tmp_path / "broken")["status"] == "done"
-    assert len(without_seconds(tmp_path / "broken" / "history.csv")) == 40
-
-
-def test_sigterm_leaves_a_run_to_go_on_with(
-    tmp_path: Path, cli: Callable[..., Process], start: Callable[..., Any]
-) -> None:
-    write(rolling({"method": "scipy_direct"}), tmp_path / "s.yaml")
-    process = start("run", "s.yaml", "--out", "out", "--trace")
-    wait_for_rows(tmp_path / "out" / "history.csv", 9, process)
-    process.send_signal(signal.SIGTERM)
-    _, error = process.communicate(timeout=60)
-    assert process.returncode == 130, error
-    result = facts(tmp_path / "out")
-    assert result["status"] == "interrupted"
-    assert result["steps"] == read_checkpoint(tmp_path / "out").step >= 9
-    assert "--resume" in error
-    assert (tmp_path / "out" / "final.vtu").exists()
-    # Processes like the first one: the BLAS of this process was loaded with another number of threads.
-    assert cli("run", "s.yaml", "--out", "out", "--resume", "--trace").returncode == 0
-    assert cli("run", "s.yaml", "--out", "whole", "--trace").returncode == 0
-    # SciPy's solver remembers nothing, so even the extra checkpoint leaves no trace.
-    assert_same_result(tmp_path / "whole", tmp_path / "out")
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_an_interrupt_while_a_step_is_recorded_waits(
-    number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Row and checkpoint belong together: were only one of them written, there would be no way to go on."""
-    recorded = Recorder.step
-
-    def interrupted(self: Recorder, row: Any) -> None:
-        if row["step"] == 6:
-            os.kill(os.getpid(), number)
-        recorded(self, row)
-
-    path = write(rolling({"method": "scipy_direct"}, steps=12), tmp_path / "s.yaml")
-    before = signal.getsignal(number)
-    with monkeypatch.context() as patch:
-        patch.setattr(Recorder, "step", interrupted)
-        assert run_scene(path, out=tmp_path / "out") == 130
-    assert signal.getsignal(number) is before
-    assert facts(tmp_path / "out")["steps"] == 6
-    assert len(without_seconds(tmp_path / "out" / "history.csv")) == 6
-    assert run_scene(path, out=tmp_path / "out", resume=True) == 0
-    assert len(without_seconds(tmp_path / "out" / "history.csv")) == 12
-
-
-def test_a_finished_run_is_left_as_it_is(tmp_path: Path) -> None:
-    path = write(rolling({"method": "scipy_direct"}, steps=6), tmp_path / "s.yaml")
-    out = tmp_path / "out"
-    assert run_scene(path, out=out) == 0
-    kept = {p: p.read_bytes() for p in out.rglob("*.vtu")}
-    x, rows = read_checkpoint(out).x, without_seconds(out / "history.csv")
-    assert run_scene(path, out=out, resume=True) == 0
-    assert facts(out)["status"] == "done"
-    assert {p: p.read_bytes() for p in out.rglob("*.vtu")} == kept
-    np.testing.assert_array_equal(read_checkpoint(out).x, x)
-    assert without_seconds(out / "history.csv") == rows
-
-
-def test_a_killed_start_begins_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Killed after the folder was made and before the first checkpoint: --resume is what the folder asks for."""
-    path = write(rolling({"method": "scipy_direct"}, steps=5), tmp_path / "s.yaml")
-
-    class KilledError(Exception):
-        pass
-
-    def killed(*_: Any) -> None:
-        raise KilledError
-
-    with monkeypatch.context() as patch:
-        patch.setattr(runner, "write_checkpoint", killed)
-        with pytest.raises(KilledError):
-            run_scene(path, out=tmp_path / "out")
-    assert facts(tmp_path / "out")["status"] == "running"
-    with pytest.raises(InputError, match="give --resume"):
-        run_scene(path, out=tmp_path / "out")
-    assert run_scene(path, out=tmp_path / "out", resume=True) == 0
-    assert facts(tmp_path / "out")["steps"] == 5
-
-
-def test_resume_wants_the_same_scene_and_a_sound_checkpoint(tmp_path: Path) -> None:
-    path = write(rolling({"method": "scipy_direct"}, steps=5), tmp_path / "s.yaml")
-    out = tmp_path / "out"
-    with pytest.raises(InputError, match="no checkpoint to resume from"):
-        run_scene(path, out=out, resume=True)
-    assert not out.exists()
-    assert run_scene(path, out=out) == 0
-    before = {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
-    with pytest.raises(InputError, match=r"another version of this scene.*--out"):
-        run_scene(path, out=out, resume=True, overrides=["time.dt=0.005"])
-    (out / "checkpoint.h5").write_bytes(before[out / "checkpoint.h5"][:300])
-    with pytest.raises(InputError, match=r"checkpoint\.h5: the checkpoint is damaged"):
-        run_scene(path, out=out, resume=True)
-    (out / "checkpoint.h5").write_bytes(before[out / "checkpoint.h5"])
-    assert {p: p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
-
-
-def test_a_failed_run_can_be_resumed(tmp_path: Path) -> None:
-    path = write(crushed_at(0.55, on_failure={"action": "stop"}), tmp_path / "s.yaml")
-    assert run_scene(path, out=tmp_path / "out") == 3
-    assert run_scene(path, out=tmp_path / "out", resume=True) == 3
-    assert facts(tmp_path / "out")["steps"] == 5
 
 
 # ------------------------------------------------------------------------------------------- without PETSc

@@ -1,4 +1,4 @@
-"""Whatever is done to a scene, `femdeform check` answers with well-formed faults or with none, never otherwise."""
+"""Whatever is done to a scene, `check` and `run` answer with well-formed faults or with none, never otherwise."""
 
 from __future__ import annotations
 
@@ -11,20 +11,24 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, given, settings
+import pytest
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 from femdeform.cli import main
+from femdeform.errors import InputError
+from femdeform.run import runner
 from femdeform.scene.document import parse_document
+from femdeform.scene.key_path import format_key
 
-TEXT = """\
+# Small ones, each with other blocks, so that thousands of changed ones are read in little time.
+BODIES = """\
 schema_version: 1
-title: A bit of everything
+title: All kinds of bodies
 simulation: deformable
 bodies:
   beam:
     mesh: {recipe: block, size: [1.0, 0.2, 0.2], cells: [4, 1, 1], translate: [0, 0, 1]}
-    kind: solid
     element_order: 2
     material: &rubber {law: neo_hookean, density: 1000.0, youngs_modulus: 1.0e6, poisson_ratio: 0.45}
   cloth:
@@ -39,12 +43,21 @@ bodies:
     material: {law: corotated, density: 900, youngs_modulus: 1.0e5, poisson_ratio: 0}
 conditions:
   - {kind: fixed, on: beam.left, components: [x, y]}
-  - {kind: rotate, on: beam.right, axis: [1, 0, 0], rate: 0.5, start: 0.1, stop: 0.4}
   - {kind: path, on: {sphere: {center: [0, 0, 1], radius: 0.3}}, times: [0, 1], displacements: [[0, 0, 0], [1, 0, 0]]}
+  - {kind: point_load, on: {nodes: [0, 1], body: rope}, force: [0, 0, -1]}
+time: {scheme: backward_euler, dt: 0.01, end: 1.0}
+"""
+CONDITIONS = """\
+simulation: deformable
+bodies:
+  beam: &beam
+    mesh: {recipe: block, size: [1.0, 0.2, 0.2], cells: [4, 1, 1]}
+    material: {law: neo_hookean, density: 1000.0, youngs_modulus: 1.0e6, poisson_ratio: 0.45}
+conditions:
+  - {kind: rotate, on: beam.right, axis: [1, 0, 0], rate: 0.5, start: 0.1, stop: 0.4}
   - {kind: traction, on: beam.top, value: [0, -1.0e3, 0], amplitude: {times: [0, 0.5], values: [0, 1]}}
   - {kind: pressure, on: {box: [[-1, -1, -1], [2, 2, 2]], body: beam}, value: 100.0}
-  - {kind: point_load, on: {nodes: [0, 1], body: rope}, force: [0, 0, -1]}
-  - {kind: initial_velocity, on: cloth, velocity: [0, 0, 1], angular_velocity: [0, 1, 0]}
+  - {kind: initial_velocity, on: beam, velocity: [0, 0, 1], angular_velocity: [0, 1, 0]}
 obstacles:
   - {kind: plane, point: [0, -1, 0], normal: [0, 1, 0], friction: 0.3}
   - {kind: sphere, center: [0, -3, 0], radius: 0.5, inside: false}
@@ -53,17 +66,51 @@ time: {scheme: backward_euler, dt: 0.01, end: 1.0}
 solver: {method: projected_newton, max_iterations: 50, line_search: {armijo: 1.0e-4}}
 linear_solver: {method: ksp, preset: newton-mumps, options: {ksp_rtol: 1.0e-8}}
 on_failure: {action: halve_dt, min_dt: 1.0e-4}
-output: {fields: [displacement, velocity], every: 5}
+output: {fields: [displacement, velocity, reaction], every: 5, checkpoint_every: 3}
+"""
+MEASURES = """\
+simulation: deformable
+bodies:
+  plate:
+    mesh: {recipe: block, size: [1.0, 0.2, 0.2], cells: [4, 1, 1]}
+    material: {law: neo_hookean, density: 1000.0, youngs_modulus: 1.0e6, poisson_ratio: 0.45}
+conditions:
+  - {kind: fixed, on: plate.left}
+time: {scheme: quasistatic, dt: 0.5, end: 1.0}
+measure:
+  tip: {kind: displacement, at: [1.0, 0.1, 0.1], component: y}
+  mean: {kind: velocity, on: plate.right, component: norm}
+  pull: {kind: reaction, on: plate.left, component: x}
+  torque: {kind: moment, on: plate.left, axis: [1, 0, 0], center: [0, 0.1, 0.1]}
+  ratio: {kind: volume_ratio, body: plate}
+  energy: &energy {kind: total_energy}
+  spin: {kind: angular_momentum, component: z}
 expect:
   volume_ratio: {value: 1.0, rtol: 0.02}
+  residual: {at_most: 1.0e-6}
+  max_displacement: {at_least: 0.0, at_most: 1.0}
   displacement:
-    - {on: {plane: {point: [1, 0, 0], normal: [1, 0, 0]}, body: beam}, component: y, value: 0.1, atol: 0.05}
+    - {on: {plane: {point: [1, 0, 0], normal: [1, 0, 0]}, body: plate}, component: y, value: 0.1, atol: 0.05}
+    - {at: [1.0, 0.1, 0.1], component: x, value: 0.0, atol: 1.0}
+  reaction:
+    - {on: plate.left, component: x, value: 0.0, atol: 1.0}
+  measured: {tip: {value: -0.1, rtol: 0.1}, pull: {at_least: -1.0}}
+  time_to_reach: [{quantity: tip, level: -0.1, value: 0.3, rtol: 0.01}]
 """
-BASE = parse_document(TEXT).data
+TEXTS = (BODIES, CONDITIONS, MEASURES)
+SCENES = tuple(parse_document(text).data for text in TEXTS)
 
-SETTINGS = settings(
-    max_examples=200, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck)
-)
+
+def examples(count: int) -> settings:
+    """So many examples, the same ones in every run."""
+    return settings(
+        max_examples=count,
+        derandomize=True,
+        deadline=None,
+        database=None,
+        phases=[Phase.explicit, Phase.generate, Phase.shrink],
+        suppress_health_check=list(HealthCheck),
+    )
 
 
 def check(raw: bytes) -> tuple[int, list[str]]:
@@ -89,21 +136,28 @@ def check(raw: bytes) -> tuple[int, list[str]]:
         match = re.fullmatch(re.escape(str(path)) + r":([1-9]\d*): (\S.*)", text)
         assert match, text
         assert match[2].isprintable()
-        assert len(text) < 1500
+        assert_readable(text)
         assert previous <= int(match[1]) <= n_lines
         previous = int(match[1])
-        assert not re.search(r"pydantic|tagged-union|function-|Input should|NoneType|Traceback", text), text
     return code, complaints
 
 
-def test_the_scene_itself_is_sound() -> None:
-    assert check(TEXT.encode()) == (0, [])
+def assert_readable(text: str) -> None:
+    """A complaint is one line of reasonable length that does not speak of our insides."""
+    assert text.isprintable()
+    assert len(text) < 1500
+    assert not re.search(r"pydantic|tagged-union|function-|Input should|NoneType|Traceback", text), text
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_the_scenes_themselves_are_sound(text: str) -> None:
+    assert check(text.encode()) == (0, [])
 
 
 # ------------------------------------------------------------------------------------------ mutations of the data
 
 WORDS = st.sampled_from(
-    ["", "beam", "beam.left", "cloth.nowhere", "solid", "rod", "block", "torus", "linear", "x", "1e3", "yes", "<<"]
+    ["", "beam", "beam.left", "tip", "at", "cloth.nowhere", "solid", "rod", "block", "linear", "x", "1e3", "<<"]
 )
 SCALARS = st.one_of(
     st.none(),
@@ -146,7 +200,7 @@ def deep(levels: int) -> Any:
 
 @st.composite
 def mutated_data(draw: st.DrawFn) -> Any:
-    data = copy.deepcopy(BASE)
+    data = copy.deepcopy(draw(st.sampled_from(SCENES)))
     for _ in range(draw(st.integers(1, 3))):
         paths = paths_of(data)
         if not paths:
@@ -173,7 +227,7 @@ def mutated_data(draw: st.DrawFn) -> Any:
     return data
 
 
-@SETTINGS
+@examples(900)
 @given(mutated_data())
 def test_mutated_data(data: Any) -> None:
     # JSON is YAML but for its words for what is not finite.
@@ -195,7 +249,7 @@ ODD = st.one_of(
 
 @st.composite
 def mutated_text(draw: st.DrawFn) -> bytes:
-    text = TEXT
+    text = draw(st.sampled_from(TEXTS))
     for _ in range(draw(st.integers(1, 5))):
         start = draw(st.integers(0, len(text)))
         action = draw(st.sampled_from(["insert", "cut", "lines", "indent", "truncate"]))
@@ -221,7 +275,60 @@ def mutated_text(draw: st.DrawFn) -> bytes:
     return raw
 
 
-@SETTINGS
+@examples(800)
 @given(mutated_text())
 def test_mutated_text(raw: bytes) -> None:
     check(raw)
+
+
+# ------------------------------------------------------------------------------------- mutations on the command line
+
+SOUND = "sound: here the simulation would be set up"
+KEYS = tuple(format_key(path) for data in SCENES for path in paths_of(data))
+# Numbers of cells that make sense at all are built before they are judged.
+HARMLESS = VALUES.filter(lambda value: not re.search(r"\d{4}", repr(value)))
+
+
+@st.composite
+def mutated_overrides(draw: st.DrawFn) -> tuple[str, list[str]]:
+    text = draw(st.sampled_from(TEXTS))
+    overrides = []
+    for _ in range(draw(st.integers(1, 3))):
+        key = draw(st.sampled_from(KEYS))
+        if draw(st.integers(0, 2)) == 0:
+            place = draw(st.integers(0, len(key)))
+            key = key[:place] + draw(ODD) + key[place + draw(st.integers(0, 2)) :]
+        value = draw(st.one_of(HARMLESS.map(json.dumps), st.text(max_size=8), ODD, WORDS))
+        overrides.append(draw(st.sampled_from([f"{key}={value}", f"{key} = {value}", f"{key}={value}", key])))
+    return text, overrides
+
+
+@examples(400)
+@given(mutated_overrides())
+@example((BODIES, ["conditions[1].on=\ufefd"]))
+@example((MEASURES, ['measure.tip.on="\\e[2Jx.left"', "measure.tip.at=null"]))
+@example((MEASURES, ['expect.time_to_reach[0].quantity="\\n"']))
+def test_mutated_overrides(changed: tuple[str, list[str]]) -> None:
+    text, overrides = changed
+
+    def set_up(*_: Any) -> None:
+        raise InputError(SOUND)
+
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "build_simulation", set_up)
+        path = Path(folder) / "scene.yaml"
+        path.write_text(text, encoding="utf-8")
+        sets = [f"--set={override}" for override in overrides]
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = main(["run", str(path), "--out", str(Path(folder) / "out"), "--quiet", *sets])
+        complaints = err.getvalue().split("\n")
+        assert complaints.pop() == ""
+        assert (code, out.getvalue()) == (2, "")
+        if complaints != [f"femdeform: {SOUND}"]:
+            assert complaints
+            assert not (Path(folder) / "out").exists()
+            for text in complaints:
+                match = re.fullmatch(rf"(?:{re.escape(str(path))}:[1-9]\d*|--set .*?): (\S.*)", text)
+                assert match, text
+                assert_readable(text)

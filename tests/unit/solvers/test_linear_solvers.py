@@ -174,3 +174,35 @@ def test_an_option_value_that_petsc_refuses_is_bad_input(key: str, value: str) -
     solver, K, b = system({"method": "ksp", "preset": "newton-mumps", "options": {key: value}})
     with pytest.raises(InputError, match=value):
         solver.solve(K, b)
+
+
+@pytest.mark.petsc
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_new_pattern_makes_a_new_matrix(preset: str) -> None:
+    """Contact between bodies couples other nodes: the object goes on with another sparsity, and back again."""
+    data = scene(
+        {
+            "a": body(block([0.2, 0.2, 0.2], [2, 2, 2])),
+            "b": body(block([0.2, 0.2, 0.2], [2, 2, 2], translate=[0.03, 0.205, 0.02])),
+        },
+        {"kind": "fixed", "on": "a.left"},
+        contact={"method": "ipc"},
+        linear_solver={"method": "ksp", "preset": preset},
+    )
+    simulation = build(data)
+    problem, state = simulation.problem, simulation.state
+    apart = state.copy()
+    apart.x[simulation.conditions.local_nodes("b")] += 1.0
+    b = np.random.default_rng(1).standard_normal(state.x.shape) * problem.free
+    sizes = []
+    for some in (apart, state, apart, state):
+        problem.begin_step(some, 0.01)
+        K = problem.hessian(some.x, True)
+        sizes.append(K.values.size)
+        answer = simulation.linear_solver.solve(K, b)
+        assert answer.converged, answer.reason
+        reference = SciPyDirect().solve(K, b)
+        tolerance = 1e-9 if preset == "newton-mumps" else 1e-4
+        np.testing.assert_allclose(answer.x, reference.x, atol=tolerance * np.abs(reference.x).max())
+    assert sizes[0] == sizes[2] < sizes[1] == sizes[3]
+    simulation.linear_solver.destroy()

@@ -278,3 +278,17 @@ def test_supports_without_stiffness_across_them() -> None:
     step(simulation)
     # E A = 1e4 N: a strain of 1e-4, up to the law's curvature.
     assert simulation.state.x[:, 0].max() - 1.0 == pytest.approx(1e-4, rel=1e-3)
+
+
+def test_a_body_that_runs_away_is_no_solution() -> None:
+    """Held along x only and pushed across, it leaves: rounding at its distance is no excuse for what is left over."""
+    simulation = build(
+        scene(
+            {"b": body(block([1.0, 0.2], [6, 2]))},
+            {"kind": "fixed", "on": "b.left", "components": ["x"]},
+            {"kind": "point_load", "on": "b.right", "force": [0.0, 1.0]},
+            time=quasistatic(),
+        )
+    )
+    result, _ = solve(simulation)
+    assert not result.converged, (result.reason, result.relative_residual)

@@ -1,0 +1,33 @@
+"""How many threads a computation gets."""
+
+from __future__ import annotations
+
+import os
+
+from femdeform.jit import set_threads
+
+_THREADED_CELLS = 2000
+
+
+def use_threads(threads: int | None, n_cells: int) -> int:
+    """Set the threads of the kernels and of the linear algebra behind the linear solvers.
+
+    Parameters
+    ----------
+    threads : int, optional
+        As the user asked; default: cores divided by ranks, but one where there are few cells.
+    n_cells : int
+        Cells of all bodies.
+
+    Returns
+    -------
+    int
+        The number in effect.
+    """
+    if threads is None and n_cells < _THREADED_CELLS and "FEMDEFORM_THREADS" not in os.environ:
+        # Few cells are done before a second thread has woken up.
+        threads = 1
+    used = set_threads(threads)
+    # PETSc's BLAS is loaded later and would take all cores on every rank.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(used))
+    return used
