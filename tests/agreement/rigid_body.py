@@ -57,9 +57,7 @@ class RigidBody:
         With the methods of `PenaltyContact`.
     """
 
-    def __init__(
-        self, points: Array, mass: Array, velocity: Array, gravity: Array, contacts: Sequence[Any]
-    ) -> None:
+    def __init__(self, points: Array, mass: Array, velocity: Array, gravity: Array, contacts: Sequence[Any]) -> None:
         self.x, self.mass, self.v, self.gravity, self.contacts = points.copy(), mass, velocity.copy(), gravity, contacts
         self.time = 0.0
 
