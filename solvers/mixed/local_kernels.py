@@ -79,13 +79,18 @@ def rotate(
     S: Any,
     L: Any,
     alpha: Any,
+    rounding: Any,
     across: Any,
     k: Any,
     dim: Any,
     nodes: Any,
     R: Any,
 ) -> None:
-    """Rotations by equation (7) of the paper: the nearest to (L / beta + F) (S - N), beta = alpha |L|."""
+    """Rotations by equation (7) of the paper: the nearest to (L / beta + F) (S - N), beta = alpha |L|.
+
+    Only the direction of L counts, so a multiplier that is nothing but rounding, at most `rounding` [Pa], must not: in
+    membranes and rods it would turn the cell by up to 1 / alpha.
+    """
     d = len(dim)
     for e in prange(cells.shape[0]):
         for q in range(weights.shape[1]):
@@ -93,7 +98,7 @@ def rotate(
             size = 0.0
             for i in range(d * d):
                 size += L[e, q, i] ** 2
-            scale = 1.0 / (alpha * math.sqrt(size)) if size > 0.0 else 0.0
+            scale = 1.0 / (alpha * math.sqrt(size)) if size > rounding**2 else 0.0
             for i in range(d * d):
                 R[e, q, i] = S[e, q, i] - across[e, i]
             T = entries(R[e, q], dim)

@@ -10,6 +10,10 @@ from femdeform.types import FloatArray
 from solvers.mixed import local_kernels
 
 
+# Stress over mu below which a multiplier is rounding.
+_ROUNDING = 1e-9
+
+
 class LocalState:
     """Stretches, rotations and multipliers of one group, and the model of psi at the stretch of the outer iteration.
 
@@ -100,6 +104,7 @@ class LocalState:
             self.S,
             self.L,
             alpha,
+            _ROUNDING * self.group.law.mu,
             self._across,
             self._rank,
             self._dim,
