@@ -46,7 +46,7 @@ class _Directed(SceneModel):
 
     stiffness: NonNegative = Field(description="force per displacement of each link [N/m]")
     tangential_stiffness: NonNegative | None = Field(
-        default=None, description="the same across `direction` [N/m]; default: as along it"
+        default=None, description="the same across `direction`, in the same unit [N/m or Pa/m]; default: as along it"
     )
     direction: Direction | None = Field(
         default=None, description="direction along which `stiffness` acts, fixed in space, of any length [-]"
