@@ -144,7 +144,7 @@ class Anderson:
         self._last = (residual, swept.copy())
         if last is None:
             return
-        if self._residuals is None or self._images is None:
+        if self._residuals is None or self._images is None or self._residuals.shape[1] != residual.size:
             self._residuals = np.empty((self.window, residual.size), dtype=residual.dtype)
             self._images = np.empty_like(self._residuals)
         row = self._count % self.window

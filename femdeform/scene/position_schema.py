@@ -31,13 +31,13 @@ class PBNGSolver(SceneModel):
         description="factor of the step of every node; above 1 nodes go too far on purpose (SOR inside the sweep) [-]",
     )
     acceleration: Literal["none", "chebyshev", "sor", "anderson"] = Field(
-        default="none",
+        default="anderson",
         description="what is made of whole sweeps; taken back and at last switched off where the energy rises",
     )
     rho: float = Field(default=0.95, gt=0.0, lt=1.0, description="chebyshev: estimated convergence rate of sweeps [-]")
     gamma: float = Field(default=1.7, gt=0.0, lt=2.0, description="chebyshev: relaxation [-]")
     omega: float = Field(default=1.7, ge=1.0, lt=2.0, description="sor: extrapolation from the sweep before the last [-]")
-    window: int = Field(default=6, ge=1, le=50, description="anderson: sweeps that are combined")
+    window: int = Field(default=8, ge=1, le=50, description="anderson: sweeps that are combined")
     precision: Literal["float64", "float32"] = Field(
         default="float64",
         description="of the sweeps; float32 goes over to float64 once the residual, which is always float64, falls no more",
