@@ -111,11 +111,11 @@ def _linear_3d(F: Any, n: Any, law: Any) -> Any:
 @njit
 def _corotated_3d(F: Any, n: Any, law: Any) -> Any:
     # d(tr S)/dF = R, and under tension lambda t times the derivative of R: with K = tr(S) I - F R^T and r = R n its
-    # nodal part is ((r.K r) K - (K r)(K r)^T) / det K.
-    R, trace = rotation_and_trace_3d(F)
+    # nodal part is ((r.K r) K - (K r)(K r)^T) / det K. (What is returned beside R is t = tr(S - I).)
+    R, strain = rotation_and_trace_3d(F)
     r = apply_3d(R, n)
     block = _identity_and_square_3d(2.0 * law.mu * _square_3d(n), law.lmbda, r)
-    tension = law.lmbda * (trace - 3.0)
+    tension, trace = law.lmbda * strain, strain + 3.0
     if not tension > 0.0:
         return block
     k00 = trace - (F[0] * R[0] + F[1] * R[1] + F[2] * R[2])
@@ -203,12 +203,11 @@ def _linear_2d(F: Any, n: Any, law: Any) -> Any:
 
 @njit
 def _corotated_2d(F: Any, n: Any, law: Any) -> Any:
-    R, trace = rotation_and_trace_2d(F)
+    R, strain = rotation_and_trace_2d(F)
     block = _identity_and_square_2d(2.0 * law.mu * (n[0] * n[0] + n[1] * n[1]), law.lmbda, apply_2d(R, n))
-    tension = law.lmbda * (trace - 2.0)
-    if not tension > 0.0:
+    if not strain > 0.0:
         return block
-    k = tension / trace
+    k = law.lmbda * strain / (strain + 2.0)
     p = apply_2d(R, (-n[1], n[0]))
     return (block[0] + k * p[0] * p[0], block[1] + k * p[1] * p[1], block[2] + k * p[0] * p[1])
 
