@@ -1,7 +1,7 @@
 """Acceleration of fixed-point iterations x -> S(x): Chebyshev's semi-iteration, second-order SOR, Anderson's mixing.
 
-All work on flat arrays and know nothing of what S is. They may make things worse, at first or for good: whoever uses them
-watches the energy and goes back.
+All work on flat arrays and know nothing of what S is. They may make things worse, at first or for good: whoever uses
+them watches the energy and goes back.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Accelerator(Protocol):
 
 
 class Chebyshev:
-    """``x+ = w (gamma (S(x) - x) + x - x_old) + x_old`` with w = 2/(2 - rho^2), then 4/(4 - rho^2 w); the first step is plain.
+    """``x+ = w (gamma (S(x) - x) + x - x_old) + x_old``; w = 2/(2 - rho^2), then 4/(4 - rho^2 w); one plain step.
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ class Chebyshev:
 
     References
     ----------
-    H. Wang, A Chebyshev semi-iterative approach for accelerating projective and position-based dynamics (2015); dissertation,
-    eq. 6.39.
+    H. Wang, A Chebyshev semi-iterative approach for accelerating projective and position-based dynamics (2015);
+    dissertation, eq. 6.39.
     """
 
     def __init__(self, rho: float, gamma: float) -> None:
@@ -72,8 +72,8 @@ class Chebyshev:
 class SOR:
     """``x+ = omega (S(x) - x_old) + x_old``, the second-order Richardson iteration that goes by the name of SOR.
 
-    Its rate is sqrt(omega - 1) for all rates of S up to 2 sqrt(omega - 1)/omega; the first step is plain. Relaxation inside
-    a sweep is something else, and often better.
+    Its rate is sqrt(omega - 1) for all rates of S up to 2 sqrt(omega - 1)/omega; the first step is plain. Relaxation
+    inside a sweep is something else, and often better.
 
     Parameters
     ----------
@@ -107,9 +107,9 @@ class SOR:
 class Anderson:
     """The combination of the last sweeps whose residual S(x) - x is smallest.
 
-    ``x+ = S(x) - sum_k g_k (S_k+1 - S_k)`` with the g that make ``|r - sum_k g_k (r_k+1 - r_k)|`` least. A residual twice as
-    large as the one before means that the last combination was a bad one: its history is dropped and the iteration goes on
-    from the plain sweep.
+    ``x+ = S(x) - sum_k g_k (S_k+1 - S_k)`` with the g that make ``|r - sum_k g_k (r_k+1 - r_k)|`` least. A residual
+    twice as large as the one before means that the last combination was a bad one: its history is dropped and the
+    iteration goes on from the plain sweep.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Colours for Gauss-Seidel sweeps: items that share a set differ, so that those of one colour can move at once.
 
-The items are nodes and the sets cells (a node moves with its cells read), or the other way round (a constraint on a cell
-moves its nodes); pairs and other couplings are further sets. Colours are chosen greedily, the smallest free one in the
-given order: the same colours on every machine and for any number of threads.
+The items are nodes and the sets cells (a node moves with its cells read), or the other way round (a constraint on a
+cell moves its nodes); pairs and other couplings are further sets. Colours are chosen greedily, the smallest free one
+in the given order: the same colours on every machine and for any number of threads.
 
 References
 ----------
@@ -74,6 +74,7 @@ def color(graph: Incidence) -> IntArray:
     Parameters
     ----------
     graph : Incidence
+        Items and their sets.
 
     Returns
     -------
@@ -81,9 +82,7 @@ def color(graph: Incidence) -> IntArray:
         Colours from 0; no two items of one set have the same.
     """
     colors = np.full(graph.n_items, -1, dtype=np.int64)
-    _assign(
-        np.arange(graph.n_items), graph.set_offsets, graph.set_items, graph.item_offsets, graph.item_sets, colors
-    )
+    _assign(np.arange(graph.n_items), graph.set_offsets, graph.set_items, graph.item_offsets, graph.item_sets, colors)
     return colors
 
 

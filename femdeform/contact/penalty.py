@@ -77,8 +77,8 @@ class PenaltyContact:
     def frozen(self) -> tuple[FloatArray, float, FloatArray, FloatArray, FloatArray]:
         """What the step begun freezes.
 
-        The obstacle's shift (dim,) [m], the slip up to which friction sticks [m], and for each node where it would be if it
-        stuck (n, dim) [m], the normal (n, dim) across which it slips, and the limit of friction (n,) [N].
+        The obstacle's shift (dim,) [m], the slip up to which friction sticks [m], and for each node where it would be
+        if it stuck (n, dim) [m], the normal (n, dim) across which it slips, and the limit of friction (n,) [N].
         """
         return self._shift, self._slip_scale, self._start, self._normal, self._lagged_force
 

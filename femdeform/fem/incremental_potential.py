@@ -405,7 +405,7 @@ class IncrementalPotential:
             group = term.group
             if group.kind != "solid" or group.cells.shape[1] != self.dim + 1:
                 raise InputError(
-                    f"bodies.{group.body}: a sweep over the nodes knows linear triangles in 2D and tetrahedra in 3D only"
+                    f"bodies.{group.body}: a sweep over the nodes knows linear triangles in 2D and tetrahedra in 3D"
                 )
             # Gradients are constant: a rule of several points adds up to one.
             part = LocalCells(group.law, group.cells, group.gradients[:, 0], group.weights.sum(axis=1))

@@ -11,7 +11,7 @@ from femdeform.scene.scene_model import SceneModel
 
 class PBNGSolver(SceneModel):
     method: Literal["pbng"] = Field(
-        description="position-based nonlinear Gauss-Seidel: sweeps that move one node after another, in threads; one rank"
+        description="position-based nonlinear Gauss-Seidel: sweeps that move one node after another; one rank"
     )
     tolerance: float = Field(default=1e-8, gt=0.0, lt=1.0, description="residual over the forces of the problem [-]")
     max_iterations: int = Field(default=5000, ge=1, description="sweeps a step")
@@ -22,7 +22,9 @@ class PBNGSolver(SceneModel):
         "`max_iterations` then have no part",
     )
     check_every: int = Field(
-        default=10, ge=1, description="sweeps between two looks at the residual, each of which costs about as much as a few"
+        default=10,
+        ge=1,
+        description="sweeps between two looks at the residual, a look costs about as much as five",
     )
     relaxation: float = Field(
         default=1.0,
@@ -36,11 +38,13 @@ class PBNGSolver(SceneModel):
     )
     rho: float = Field(default=0.95, gt=0.0, lt=1.0, description="chebyshev: estimated convergence rate of sweeps [-]")
     gamma: float = Field(default=1.7, gt=0.0, lt=2.0, description="chebyshev: relaxation [-]")
-    omega: float = Field(default=1.7, ge=1.0, lt=2.0, description="sor: extrapolation from the sweep before the last [-]")
+    omega: float = Field(
+        default=1.7, ge=1.0, lt=2.0, description="sor: extrapolation from the sweep before the last [-]"
+    )
     window: int = Field(default=8, ge=1, le=50, description="anderson: sweeps that are combined")
     precision: Literal["float64", "float32"] = Field(
         default="float64",
-        description="of the sweeps; float32 goes over to float64 once the residual, which is always float64, falls no more",
+        description="of the sweeps; float32 goes over to float64 once the residual, always in float64, falls no more",
     )
 
     @model_validator(mode="after")

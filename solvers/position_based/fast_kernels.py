@@ -1,7 +1,7 @@
 """Kernels for the two laws that matter most, written so that compilers turn the loop over a node's cells into vectors.
 
-Positions are all they read that changes: a cell's deformation is made anew from its corners, which lie in the cache, rather
-than kept and updated, which would move three times as many bytes and drift.
+Positions are all they read that changes: a cell's deformation is made anew from its corners, which lie in the cache,
+rather than kept and updated, which would move three times as many bytes and drift.
 
 With q the vector area (times two) of the face opposite to the node, w = 1/(6 V) and d = q.(x - x_base):
 ``J = w d`` and ``cof(F) n = w q``.
@@ -34,8 +34,8 @@ def add_neo_hookean(
 ) -> None:
     """Add forces and matrices of the nodes of one colour from tetrahedra of the neo-Hookean law.
 
-    The part mu/2 |F|^2 is a constant graph Laplacian; what is left depends on volumes alone: ``g = lambda^ (J - 1) - mu``,
-    f = -V g cof(F) n = -g q / 6.
+    The part mu/2 |F|^2 is a constant graph Laplacian; what is left depends on volumes alone: ``g = lambda^ (J - 1) -
+    mu``, f = -V g cof(F) n = -g q / 6.
 
     Parameters
     ----------
@@ -46,6 +46,7 @@ def add_neo_hookean(
     stencil_offsets, neighbours, weights, diagonal
         See `layout.Stencil`.
     law : NeoHookean
+        In the precision of the arrays.
     """
     one, half, six = x.dtype.type(1.0), x.dtype.type(0.5), x.dtype.type(6.0)
     mu, stiff = law.mu, max(law.lmbda, half * law.lmbda_hat) / six
@@ -103,12 +104,13 @@ def add_rotated(
     x: Any,
     acc: Any,
 ) -> None:
-    """Add forces and matrices of the nodes of one colour from tetrahedra with ``P = 2 mu (F - R) + lambda (J - 1) cof F``.
+    """Add forces and matrices of one colour from tetrahedra with ``P = 2 mu (F - R) + lambda (J - 1) cof F``.
 
-    The trace t of S = R^T F is the largest root of ``t^4 - 2 |F|^2 t^2 - 8 J t + 2 |F^T F|^2 - |F|^4``, also of an inverted F;
-    R is its derivative with respect to F: ``R = ((t^2 + |F|^2) F + 2 t cof F - 2 F F^T F) / (t^3 - |F|^2 t - 2 J)``. Three
-    steps of Halley's rule from the bound sqrt(3) |F| find it to rounding unless a cell is strained beyond about one half;
-    then, and where R is about to jump, the node's cells are done again one by one with a singular value decomposition.
+    The trace t of S = R^T F is the largest root of ``t^4 - 2 |F|^2 t^2 - 8 J t + 2 |F^T F|^2 - |F|^4``, also of an
+    inverted F; R is its derivative with respect to F: ``R = ((t^2 + |F|^2) F + 2 t cof F - 2 F F^T F) / (t^3 - |F|^2 t
+    - 2 J)``. Three steps of Halley's rule from the bound sqrt(3) |F| find it to rounding unless a cell is strained
+    beyond about one half; then, and where R is about to jump, the node's cells are done again one by one with a
+    singular value decomposition.
 
     Parameters
     ----------
@@ -119,6 +121,7 @@ def add_rotated(
     diagonal : (n_rows,)
         Sum of V |n|^2 over the node's cells [m].
     law : FixedCorotated or ARAP
+        In the precision of the arrays.
     tolerance : float
         Bound of the sum of squares of the last relative corrections of t.
     """

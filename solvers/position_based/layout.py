@@ -1,12 +1,14 @@
 """Data of a node-wise sweep, laid out in the order in which it is read.
 
-Nodes are renumbered by colour and, inside a colour, along a space-filling curve: a thread walks through space and finds the
-neighbours of its nodes, of all colours, where it has just been. What a visit of a node to one of its cells needs (the other
-nodes, gradients, volume) is stored once per visit, in the order of the visits, so that the sweep streams it.
+Nodes are renumbered by colour and, inside a colour, along a space-filling curve: a thread walks through space and
+finds the neighbours of its nodes, of all colours, where it has just been. What a visit of a node to one of its cells
+needs (the other nodes, gradients, volume) is stored once per visit, in the order of the visits, so that the sweep
+streams it.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -139,7 +141,7 @@ def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any) -> Visits:
         with_precision(cells.law, dtype),
         nodes.astype(np.uint32),
         offsets,
-        [_split(offsets, int(a), int(b)) for a, b in zip(rows[:-1], rows[1:], strict=True)],
+        [_split(offsets, int(a), int(b)) for a, b in itertools.pairwise(rows)],
         np.ascontiguousarray((3 * corners[cell[:, None], other]).T.astype(np.uint32)),
         np.ascontiguousarray(gradients.T.astype(dtype)),
         cells.volumes[cell].astype(dtype),

@@ -29,6 +29,8 @@ def find_steps(
 
     Parameters
     ----------
+    first, last : int
+        Places of the nodes of one colour.
     weights, centers, loads : (n_nodes,), (3 n_nodes,), (3 n_nodes,)
         See `NodalTerms`.
     free : (3 n_nodes,) uint8

@@ -1,10 +1,10 @@
 """The modified Hessian of one node: what a cell adds to the 3x3 or 2x2 matrix of the node's step.
 
-With u the gradient n of the node's shape function, moving the node by s changes F by s n^T. The published block of a law
-with the Lame parameters (mu, lambda) is ``A = 2 mu |n|^2 I + lambda c c^T`` with ``c = cof(F) n`` (dissertation, eq. 6.36,
-with its transposed index corrected). It bounds the energy along the step for the fixed corotated law and ARAP, whatever F
-is; other laws need a little more, which their function below adds. Blocks are per volume [Pa/m^2] and ordered
-(00, 11, 22, 12, 02, 01).
+With u the gradient n of the node's shape function, moving the node by s changes F by s n^T. The published block of a
+law with the Lame parameters (mu, lambda) is ``A = 2 mu |n|^2 I + lambda c c^T`` with ``c = cof(F) n`` (dissertation,
+eq. 6.36, with its transposed index corrected). It bounds the energy along the step for the fixed corotated law and
+ARAP, whatever F is; other laws need a little more, which their function below adds. Blocks are per volume [Pa/m^2] and
+ordered (00, 11, 22, 12, 02, 01).
 
 Laws of which the block is no bound for every step are `is_bounded` = False: the sweep then looks at the energy itself.
 """
@@ -230,7 +230,8 @@ def _saint_venant_kirchhoff_2d(F: Any, n: Any, law: Any) -> Any:
 
 # ---------------------------------------------------------------------------------------- by law
 
-_BLOCKS: dict[type, tuple[Callable[..., Any], Callable[..., Any]]] = {
+_Block = Callable[..., Any]
+_BLOCKS: dict[type, tuple[_Block, _Block]] = {
     NeoHookean: (_neo_hookean_2d, _neo_hookean_3d),
     StableNeoHookean: (_stable_neo_hookean_2d, _stable_neo_hookean_3d),
     LogarithmicNeoHookean: (_logarithmic_2d, _logarithmic_3d),
@@ -246,9 +247,10 @@ def is_bounded(law: Any) -> bool:
     return isinstance(law, _BOUNDED)
 
 
-def block_function(law_class: type, dim: int) -> Callable[..., Any]:
+def block_function(law_class: type, dim: int) -> _Block:
     """The function of a law, the published form for a law that has none of its own."""
-    return _BLOCKS.get(law_class, (published_2d, published_3d))[dim - 2]
+    functions: tuple[_Block, _Block] = _BLOCKS.get(law_class, (published_2d, published_3d))
+    return functions[dim - 2]
 
 
 def nodal_block(F: Any, n: Any, law: Any) -> Any:

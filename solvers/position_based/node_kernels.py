@@ -1,8 +1,9 @@
 """Kernels of a sweep over nodes: what the cells of a law add to a node's force and matrix, and how far a step may go.
 
-Positions are flat with three components a node also in 2D, so that one kernel moves nodes in both. The accumulator holds
-nine numbers a node: the force (3) and the matrix (00, 11, 22, 12, 02, 01). Nodes of one colour share no cell: each thread
-reads positions that nobody moves and writes to its own nodes, so the result does not depend on the number of threads.
+Positions are flat with three components a node also in 2D, so that one kernel moves nodes in both. The accumulator
+holds nine numbers a node: the force (3) and the matrix (00, 11, 22, 12, 02, 01). Nodes of one colour share no cell:
+each thread reads positions that nobody moves and writes to its own nodes, so the result does not depend on the number
+of threads.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ def deformation_2d(x: Any, i: Any, others: Any, gradients: Any, v: Any) -> Any:
     return (e0 * n0 + p0 * g0, e0 * n1 + p0 * g1, e1 * n0 + p1 * g0, e1 * n1 + p1 * g1), (n0, n1)
 
 
-def node_terms(x: Any, i: Any, first: Any, last: Any, others: Any, gradients: Any, volumes: Any, law: Any, dim: Any) -> Any:
+def node_terms(
+    x: Any, i: Any, first: Any, last: Any, others: Any, gradients: Any, volumes: Any, law: Any, dim: Any
+) -> Any:
     """Force [N] and matrix [N/m] that the visits from first to last give the node at flat place i, nine numbers."""
     raise NotImplementedError("compiled code only")
 
@@ -140,6 +143,7 @@ def add_cells(
     nodes, offsets, others, gradients, volumes
         See `layout.Visits`.
     law : NamedTuple
+        In the precision of the arrays.
     dim : tuple
         Its length is the dimension.
     x : (3 n_nodes,)
@@ -234,9 +238,10 @@ def shorten_steps(
 ) -> None:
     """Halve the steps of the nodes of one colour until the energy of one law's cells is where it should be.
 
-    A part t of the step s is good if the energy of these cells does not exceed ``E - t f.s + t/2 s.A s`` with their own force
-    f and matrix A. Terms that A bounds stay below that for any t in [0, 1]; summed over all terms of the node the right-hand
-    side is ``E - t/2 s.A s``, so the energy falls. Cells that would invert where the law allows none have infinite energy.
+    A part t of the step s is good if the energy of these cells does not exceed ``E - t f.s + t/2 s.A s`` with their
+    own force f and matrix A. Terms that A bounds stay below that for any t in [0, 1]; summed over all terms of the
+    node the right-hand side is ``E - t/2 s.A s``, so the energy falls. Cells that would invert where the law allows
+    none have infinite energy.
 
     Parameters
     ----------

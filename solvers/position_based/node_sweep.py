@@ -17,6 +17,8 @@ from solvers.position_based import fast_kernels, layout, move_kernels, node_kern
 from solvers.position_based.nodal_blocks import is_bounded
 from solvers.position_based.obstacle_kernels import ObstacleData, collect
 
+_CellData = tuple[layout.Indices, FloatArray, FloatArray, Any, tuple[int, ...]]
+
 # Halvings of a step after which a node waits for its neighbours.
 _HALVINGS = 30
 
@@ -181,17 +183,19 @@ class _LawCells:
         self.is_bounded = is_bounded(cells.law)
         self._rounding = 16.0 * float(np.finfo(dtype).eps)
 
-    def _arguments(self, color: int) -> tuple[Any, ...]:
+    def _arguments(self, color: int) -> tuple[IntArray, layout.Indices, IntArray, _CellData]:
         v = self.visits
-        return v.chunks[color], v.nodes, v.offsets, v.others, v.gradients, v.volumes, v.law, self.dim
+        return v.chunks[color], v.nodes, v.offsets, (v.others, v.gradients, v.volumes, v.law, self.dim)
 
     def add(self, color: int, x: FloatArray, acc: FloatArray) -> None:
         """Add forces and matrices of the nodes of one colour."""
-        node_kernels.add_cells(*self._arguments(color), x, acc)
+        chunks, nodes, offsets, cells = self._arguments(color)
+        node_kernels.add_cells(chunks, nodes, offsets, *cells, x, acc)
 
     def shorten(self, color: int, x: FloatArray, steps: FloatArray, parts: FloatArray) -> None:
         """Lower the parts of steps that these cells allow."""
-        node_kernels.shorten_steps(*self._arguments(color), self._rounding, _HALVINGS, x, steps, parts)
+        chunks, nodes, offsets, cells = self._arguments(color)
+        node_kernels.shorten_steps(chunks, nodes, offsets, *cells, self._rounding, _HALVINGS, x, steps, parts)
 
 
 class _NeoHookeanCells(_LawCells):

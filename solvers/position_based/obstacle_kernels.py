@@ -59,9 +59,11 @@ def collect(contacts: Sequence[PenaltyContact], place: IntArray, dim: int) -> Ob
     Parameters
     ----------
     contacts : sequence of PenaltyContact
+        With the step begun.
     place : (n_nodes,) int64
         Place of each node in the sweep.
     dim : int
+        2 or 3.
     """
     touched = np.unique(np.concatenate([np.empty(0, np.int64), *(contact.nodes for contact in contacts)]))
     rows = np.full(place.size, -1, dtype=np.int64)
@@ -255,7 +257,7 @@ def step_in_contact(
     starts: Any,
     normals: Any,
 ) -> Any:
-    """Minimise ``-f.s + s.A s / 2`` plus the exact energy of contact over the free components of the step s of one node.
+    """Minimise ``-f.s + s.A s / 2`` plus the exact energy of contact over the free components of a node's step s.
 
     A node about to touch feels the obstacle before it is inside. Newton's method with halving: the energy of model and
     contact never rises, and the model bounds what the node's cells do.

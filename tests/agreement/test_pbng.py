@@ -57,11 +57,11 @@ def clamped_bar(law: str, dim: int, dynamic: bool, **stuff: Any) -> dict[str, An
 
 def twisted_block(law: str, dim: int, dynamic: bool) -> dict[str, Any]:
     """One end stretched by a quarter and turned, in one step."""
-    turn = {"kind": "rotate", "on": "b.right", "rate": 0.5}
+    turn: dict[str, Any] = {"kind": "rotate", "on": "b.right", "rate": 0.5}
     if dim == 3:
         turn = {"kind": "twist", "on": "b.right", "axis": [1, 0, 0], "rate": 0.8, "elongation_rate": 0.25}
     if dynamic:
-        turn = {key: 10.0 * value if key.endswith("rate") else value for key, value in turn.items()}  # type: ignore[operator]
+        turn |= {key: 10.0 * turn[key] for key in ("rate", "elongation_rate") if key in turn}
     return scene(
         {"b": body(block([1.0, 0.5, 0.5][:dim], [4, 2, 2][:dim]), material(law, E=1e5))},
         {"kind": "fixed", "on": "b.left"},
@@ -133,7 +133,9 @@ def test_regions_share_nodes() -> None:
     model = DeformableScene.model_validate({**data, "bodies": {"b": own}, "solver": PBNG})
     plain = structured.block(model.bodies["b"].mesh)  # type: ignore[arg-type]
     centre = plain.points[plain.cells].mean(axis=1)
-    mesh = Mesh(plain.points, plain.cells, plain.cell_type, plain.facet_groups, {"far": np.flatnonzero(centre[:, 0] > 0.4)}, {})
+    mesh = Mesh(
+        plain.points, plain.cells, plain.cell_type, plain.facet_groups, {"far": np.flatnonzero(centre[:, 0] > 0.4)}, {}
+    )
     answers = []
     for solver in (NEWTON, PBNG):
         scene_model = DeformableScene.model_validate({**data, "bodies": {"b": own}, "solver": solver})

@@ -40,9 +40,7 @@ def reference_bar(law: str, E: float, **solver: Any) -> Simulation:
     return simulation
 
 
-def take(
-    simulation: Simulation, budget: Budget | None = None
-) -> tuple[StepResult, list[dict[str, Any]], list[Array]]:
+def take(simulation: Simulation, budget: Budget | None = None) -> tuple[StepResult, list[dict[str, Any]], list[Array]]:
     """One step without asking for convergence, with the rows and positions of all looks."""
     rows: list[dict[str, Any]] = []
     places: list[Array] = []
@@ -84,7 +82,7 @@ def test_reference_convergence(law: str, E: float, figures: tuple[float, float, 
 
 
 def test_accelerations_at_high_stiffness() -> None:
-    """kappa 16 after 60 sweeps: Chebyshev's semi-iteration gains four digits on plain sweeps, SOR and relaxation one."""
+    """kappa 16 after 60 sweeps: Chebyshev's semi-iteration gains three digits on plain ones, SOR and relaxation one."""
     reached = {}
     for name, options in {
         "plain": {},
@@ -205,7 +203,7 @@ def test_single_precision_goes_over_to_double() -> None:
 
 def build_floor() -> float:
     """Where sweeps in float32 alone end."""
-    result, rows, _ = take(reference_bar("fixed_corotated", 1e4, precision="float32", iterations=200, check_every=10))
+    _, rows, _ = take(reference_bar("fixed_corotated", 1e4, precision="float32", iterations=200, check_every=10))
     return min(row["relative_residual"] for row in rows)
 
 
@@ -235,7 +233,9 @@ def test_a_free_body_falls_freely() -> None:
 )
 def test_what_sweeps_do_not_know_is_refused(change: dict[str, Any], complaint: str) -> None:
     """Also where nobody checked the scene."""
-    simulation = build(scene({"b": body(block([1.0, 0.5, 0.5], [2, 1, 1]), **change)}, {"kind": "fixed", "on": "b.left"}))
+    simulation = build(
+        scene({"b": body(block([1.0, 0.5, 0.5], [2, 1, 1]), **change)}, {"kind": "fixed", "on": "b.left"})
+    )
     with pytest.raises(InputError, match=complaint):
         NodeSweep(simulation.problem)
 
