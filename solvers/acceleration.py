@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from femdeform.types import FloatArray
+from solvers.mixing_kernels import inner_products, subtract_rows, take_differences
 
 # Directions whose part beyond the others is smaller than this are rounding and are left out of Anderson's mixing.
 _DEPENDENT = 1e-12
@@ -123,44 +124,53 @@ class Anderson:
 
     def __init__(self, window: int) -> None:
         self.window = window
-        self._residuals: FloatArray | None = None
-        self._images: FloatArray | None = None
-        self._count = 0
-        self._last: tuple[FloatArray, FloatArray] | None = None
+        self._buffers: _Buffers | None = None
+        self._count = -1  # differences so far; -1: not even a residual
         self._norm = np.inf
 
     def restart(self) -> None:
         """See `Accelerator`."""
-        self._count, self._last, self._norm = 0, None, np.inf
+        self._count, self._norm = -1, np.inf
 
     def mix(self, before: FloatArray, swept: FloatArray) -> None:
         """See `Accelerator`."""
-        residual = swept - before
-        norm = float(np.linalg.norm(residual))
-        if not norm <= 2.0 * self._norm:
+        own = self._buffers
+        if own is None or own.image.size != swept.size or own.image.dtype != swept.dtype:
+            own = self._buffers = _Buffers(self.window, swept)
             self.restart()
+        row = max(self._count, 0) % self.window
+        square = take_differences(before, swept, own.residual, own.image, own.residuals[row], own.images[row])
+        norm = float(np.sqrt(square))
+        first = self._count < 0 or not norm <= 2.0 * self._norm
         self._norm = norm
-        last = self._last
-        self._last = (residual, swept.copy())
-        if last is None:
+        if first:
+            # What was written to the row is overwritten by the next difference.
+            self._count = 0
             return
-        if self._residuals is None or self._images is None or self._residuals.shape[1] != residual.size:
-            self._residuals = np.empty((self.window, residual.size), dtype=residual.dtype)
-            self._images = np.empty_like(self._residuals)
-        row = self._count % self.window
-        np.subtract(residual, last[0], out=self._residuals[row])
-        np.subtract(swept, last[1], out=self._images[row])
         self._count += 1
         used = min(self._count, self.window)
-        differences = self._residuals[:used]
-        # Normal equations with scaled unknowns; what rounding makes of dependent directions is cut off.
-        gram = (differences @ differences.T).astype(np.float64)
-        scale = np.sqrt(np.diag(gram))
+        products = own.products[:used]
+        inner_products(own.residuals, used, row, own.residual, products)
+        own.gram[:used, row] = own.gram[row, :used] = products[:, 0]
+        # Scaled unknowns; what rounding makes of dependent directions is cut off.
+        scale = np.sqrt(np.diag(own.gram)[:used])
         if not np.all(scale > 0.0) or not np.all(np.isfinite(scale)):
             self.restart()
             return
-        values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-        kept = values > max(_DEPENDENT, 10.0 * float(np.finfo(residual.dtype).eps)) * values[-1]
-        right = vectors.T @ ((differences @ residual).astype(np.float64) / scale)
+        values, vectors = np.linalg.eigh(own.gram[:used, :used] / np.outer(scale, scale))
+        kept = values > max(_DEPENDENT, 10.0 * float(np.finfo(swept.dtype).eps)) * values[-1]
+        right = vectors.T @ (products[:, 1] / scale)
         weights = (vectors[:, kept] @ (right[kept] / values[kept])) / scale
-        swept -= weights.astype(residual.dtype) @ self._images[:used]
+        subtract_rows(weights.astype(swept.dtype), own.images, swept)
+
+
+class _Buffers:
+    """What Anderson's mixing keeps, for vectors like the one given."""
+
+    def __init__(self, window: int, vector: FloatArray) -> None:
+        self.residual = np.zeros_like(vector)
+        self.image = np.zeros_like(vector)
+        self.residuals = np.zeros((window, vector.size), dtype=vector.dtype)
+        self.images = np.zeros_like(self.residuals)
+        self.gram = np.zeros((window, window))
+        self.products = np.empty((window, 2))

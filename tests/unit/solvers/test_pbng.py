@@ -54,6 +54,10 @@ def take(simulation: Simulation, budget: Budget | None = None) -> tuple[StepResu
     return result, rows, places
 
 
+def smallest_jacobian(simulation: Simulation, x: Array) -> float:
+    return min(float(jacobians(group, x).min()) for group in simulation.discretization.groups)
+
+
 # The published figures at sweeps 5, 20 and 60 depend on the order of the nodes: a factor of two either way, and
 # three where eight digits have gone.
 @pytest.mark.parametrize(
@@ -121,7 +125,7 @@ def test_energy_never_rises_in_a_plain_sweep(law: str, dim: int, nu: float) -> N
     starts = [random_state(stretched, 0.02), random_state(points, 0.05)]
     if law != "logarithmic_neo_hookean":
         starts.append(random_state(points, 0.4))
-        assert jacobians(simulation.discretization, starts[-1]).min() < 0.0
+        assert smallest_jacobian(simulation, starts[-1]) < 0.0
     for start in starts:
         start[points[:, 0] == 0.0] = points[points[:, 0] == 0.0]
         x, flat = start.copy(), sweep.flat(start)
@@ -150,7 +154,7 @@ def test_log_neo_hookean_never_inverts_while_supports_move_far() -> None:
     )
     result, _, places = take(simulation)
     assert result.converged, result.reason
-    assert all(jacobians(simulation.discretization, x).min() > 0.0 for x in places)
+    assert all(smallest_jacobian(simulation, x) > 0.0 for x in places)
     end = simulation.discretization.points[:, 0] == 1.0
     np.testing.assert_allclose((result.x - simulation.discretization.points)[end, 0], -0.35)
 
