@@ -119,8 +119,8 @@ class Visits:
 _OTHERS = {3: np.array([[1, 2], [2, 0], [0, 1]]), 4: np.array([[1, 3, 2], [0, 2, 3], [0, 3, 1], [0, 1, 2]])}
 
 
-def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any) -> Visits:
-    """Lay out the visits to the cells of one law in one precision."""
+def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradients: bool = True) -> Visits:
+    """Lay out the visits to the cells of one law in one precision, the gradients left empty if not wanted."""
     from femdeform.materials import with_precision
 
     corners = numbering.place[cells.cells]
@@ -134,8 +134,10 @@ def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any) -> Visits:
     nodes, counts = np.unique(flat[visits], return_counts=True)
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     other = _OTHERS[n_corners][corner]
-    kept = np.concatenate([corner[:, None], other[:, :-1]], axis=1)
-    gradients = cells.gradients[cell[:, None], kept].reshape(-1, dim * dim)
+    gradients = np.empty((0, dim * dim))
+    if with_gradients:
+        kept = np.concatenate([corner[:, None], other[:, :-1]], axis=1)
+        gradients = cells.gradients[cell[:, None], kept].reshape(-1, dim * dim)
     rows = np.searchsorted(nodes, numbering.color_offsets)
     return Visits(
         with_precision(cells.law, dtype),

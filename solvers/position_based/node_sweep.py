@@ -177,8 +177,10 @@ class NodeSweep:
 class _LawCells:
     """Cells of one law, by the kernel for any law."""
 
+    needs_gradients = True
+
     def __init__(self, cells: LocalCells, numbering: layout.Numbering, dtype: Any) -> None:
-        self.visits = layout.list_visits(cells, numbering, dtype)
+        self.visits = layout.list_visits(cells, numbering, dtype, self.needs_gradients)
         self.dim = (0,) * (cells.cells.shape[1] - 1)
         self.is_bounded = is_bounded(cells.law)
         self._rounding = 16.0 * float(np.finfo(dtype).eps)
@@ -200,6 +202,8 @@ class _LawCells:
 
 class _NeoHookeanCells(_LawCells):
     """Tetrahedra of the neo-Hookean law."""
+
+    needs_gradients = False
 
     def __init__(self, cells: LocalCells, numbering: layout.Numbering, dtype: Any) -> None:
         super().__init__(cells, numbering, dtype)
@@ -265,7 +269,3 @@ def _law_cells(cells: LocalCells, numbering: layout.Numbering, dtype: Any) -> _L
             return _RotatedCells(cells, numbering, dtype)
     return _LawCells(cells, numbering, dtype)
 
-
-def color_counts(numbering: layout.Numbering) -> IntArray:
-    """Nodes of each colour."""
-    return np.diff(numbering.color_offsets)
