@@ -230,7 +230,7 @@ def shorten_steps(
     volumes: Any,
     law: Any,
     dim: Any,
-    rounding: Any,
+    flat: Any,
     most: Any,
     x: Any,
     steps: Any,
@@ -247,8 +247,8 @@ def shorten_steps(
     ----------
     chunks, nodes, offsets, others, gradients, volumes, law, dim, x
         See `add_cells`.
-    rounding : float
-        Part of the energies that is rounding.
+    flat : float
+        Part of the energies below which their differences are not looked at, but for cells that would invert.
     most : int
         Halvings after which the node stays where it is.
     steps : (3 n_nodes,)
@@ -265,7 +265,8 @@ def shorten_steps(
             rest = (s[0] - s[0], s[1] - s[1], s[2] - s[2])
             before, size = visit_energies(x, p, rest, first, last, others, gradients, volumes, law, dim)
             terms = node_terms(x, p, first, last, others, gradients, volumes, law, dim)
-            slope = -(terms[0] * s[0] + terms[1] * s[1] + terms[2] * s[2]) + 0.5 * quadratic_form(terms, s)
+            work = terms[0] * s[0] + terms[1] * s[1] + terms[2] * s[2]
+            margin = 0.5 * quadratic_form(terms, s)
             t = parts[i]
             for k in range(most + 1):
                 if k == most:
@@ -273,7 +274,11 @@ def shorten_steps(
                     break
                 reached = (t * s[0], t * s[1], t * s[2])
                 after, _ = visit_energies(x, p, reached, first, last, others, gradients, volumes, law, dim)
-                if after - before <= t * slope + rounding * size:
+                beyond = after - before + t * work
+                if beyond <= t * margin:
+                    break
+                # So small a margin drowns in the rounding of the energies; the block bounds small steps by itself.
+                if t * margin <= flat * size and beyond <= flat * size:
                     break
                 t = t * 0.5
             parts[i] = t

@@ -183,7 +183,7 @@ class _LawCells:
         self.visits = layout.list_visits(cells, numbering, dtype, self.needs_gradients)
         self.dim = (0,) * (cells.cells.shape[1] - 1)
         self.is_bounded = is_bounded(cells.law)
-        self._rounding = 16.0 * float(np.finfo(dtype).eps)
+        self._flat = float(np.finfo(dtype).eps) ** 0.6
 
     def _arguments(self, color: int) -> tuple[IntArray, layout.Indices, IntArray, _CellData]:
         v = self.visits
@@ -197,7 +197,7 @@ class _LawCells:
     def shorten(self, color: int, x: FloatArray, steps: FloatArray, parts: FloatArray) -> None:
         """Lower the parts of steps that these cells allow."""
         chunks, nodes, offsets, cells = self._arguments(color)
-        node_kernels.shorten_steps(chunks, nodes, offsets, *cells, self._rounding, _HALVINGS, x, steps, parts)
+        node_kernels.shorten_steps(chunks, nodes, offsets, *cells, self._flat, _HALVINGS, x, steps, parts)
 
 
 class _NeoHookeanCells(_LawCells):
@@ -268,4 +268,3 @@ def _law_cells(cells: LocalCells, numbering: layout.Numbering, dtype: Any) -> _L
         if isinstance(cells.law, (FixedCorotated, ARAP)):
             return _RotatedCells(cells, numbering, dtype)
     return _LawCells(cells, numbering, dtype)
-
