@@ -15,6 +15,7 @@ from femdeform.errors import MissingDependencyError
 SOLVERS: dict[str, str] = {
     "projected_newton": "solvers.projected_newton:ProjectedNewton",
     "mixed_fem": "solvers.mixed_variational:MixedVariational",
+    "pbng": "solvers.pbng:PBNG",
 }
 
 LINEAR_SOLVERS: dict[str, str] = {

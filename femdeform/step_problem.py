@@ -6,10 +6,12 @@ A nonlinear solver sees a `StepProblem` and nothing else; a time loop sees the s
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
+
+import numpy as np
 
 from femdeform.parallel import Partition
 from femdeform.types import BoolArray, FloatArray
@@ -132,6 +134,76 @@ class StepProblem(Protocol):
 
     def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
         """Largest admissible part of a step, in [0, 1], with `drift` of the obstacles' motion along the whole of it."""
+
+
+@dataclass(frozen=True)
+class LocalCells:
+    """Simplices of one law, as sweeps over nodes or cells need them; read only.
+
+    Attributes
+    ----------
+    law : NamedTuple
+        The law with its parameters.
+    cells : (n_cells, dim + 1) int32
+        Local node numbers, positively oriented.
+    gradients : (n_cells, dim + 1, dim) float64
+        Constant gradients of the shape functions [1/m].
+    volumes : (n_cells,) float64
+        Rest volumes [m^3] (2D: areas, per unit thickness).
+    """
+
+    law: Any
+    cells: np.ndarray[Any, np.dtype[np.int32]]
+    gradients: FloatArray
+    volumes: FloatArray
+
+
+@dataclass(frozen=True)
+class NodalTerms:
+    """Terms of Phi on single nodes in the step begun: ``sum_i w_i/2 |x_i - c_i|^2 - f_i . x_i``.
+
+    Attributes
+    ----------
+    weights : (n_local,) float64
+        m_i / h^2 [N/m]; zero in statics.
+    centers : (n_local, dim) float64
+        ``x_n + h v_n`` [m].
+    loads : (n_local, dim) float64
+        Gravity and dead loads [N].
+    """
+
+    weights: FloatArray
+    centers: FloatArray
+    loads: FloatArray
+
+
+class LocalStepProblem(StepProblem, Protocol):
+    """A step problem that also shows its parts, for methods that move a node or a cell at a time."""
+
+    points: FloatArray  # (n_local, dim) reference positions [m]
+    lumped_mass: FloatArray  # (n_local,) [kg]
+
+    def local_cells(self) -> Sequence[LocalCells]:
+        """Cells of all bodies, one entry per law with its parameters.
+
+        Raises
+        ------
+        InputError
+            If a part of the problem has no such form: other elements, consistent mass, contact that couples nodes,
+            several ranks.
+        """
+
+    def nodal_terms(self) -> NodalTerms:
+        """Inertia and dead loads of the step begun."""
+
+    def node_contacts(self) -> Sequence[Any]:
+        """Penalty contacts of single nodes (`femdeform.contact.penalty.PenaltyContact`), frozen by the step begun."""
+
+    def follower_forces(self, x: FloatArray) -> FloatArray | None:
+        """Forces at the nodes that depend on the positions of others [N], (n_local, dim); None if there are none."""
+
+    def predictor(self, state: Any) -> FloatArray:
+        """Positions that inertia and dead loads alone would give, with the prescribed values of the step."""
 
 
 @dataclass(frozen=True)

@@ -140,7 +140,7 @@ class Descent:
             if current.norm <= self.tolerance * problem.force_scale:
                 return result(True, "residual below tolerance")
             # The level of rounding is an estimate: it ends a step only once the residual falls no further.
-            if current.norm > 0.25 * previous_norm and _is_rounding(problem, current, first.x, 1.0):
+            if current.norm > 0.25 * previous_norm and is_rounding(problem, current, first.x, 1.0):
                 return result(True, "residual at the level of rounding")
             spent = budget.spent(iteration)
             if spent is not None:
@@ -162,7 +162,7 @@ class Descent:
                     break
             assert direction is not None
             if found is None:
-                if _is_rounding(problem, current, first.x, 10.0):
+                if is_rounding(problem, current, first.x, 10.0):
                     return result(True, "residual at the level of rounding")
                 return result(False, "the line search failed" if direction.usable else direction.reason)
 
@@ -237,7 +237,7 @@ class Descent:
         return length, None
 
 
-def _is_rounding(problem: StepProblem, current: Iterate, start: FloatArray, factor: float) -> bool:
+def is_rounding(problem: StepProblem, current: Iterate, start: FloatArray, factor: float) -> bool:
     """Whether a residual is no more than what rounding may leave, and nothing that matters beside the forces."""
     if current.norm > factor * problem.roundoff_norm(current.x):
         return False

@@ -82,6 +82,15 @@ class PenaltyContact:
         self._shift = self.velocity * time
         self._slip_scale = max(self.stick_velocity * dt, 1e-300)
 
+    @property
+    def frozen(self) -> tuple[FloatArray, float, FloatArray, FloatArray, FloatArray]:
+        """What the step begun freezes.
+
+        The obstacle's shift (dim,) [m], the slip up to which friction sticks [m], and for each node where it would be
+        if it stuck (n, dim) [m], the normal (n, dim) across which it slips, and the limit of friction (n,) [N].
+        """
+        return self._shift, self._slip_scale, self._start, self._normal, self._lagged_force
+
     def _slip(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         moved = x[self.nodes] - self._start
         slip = moved - np.einsum("ic,ic->i", moved, self._normal)[:, None] * self._normal

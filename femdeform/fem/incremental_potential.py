@@ -12,14 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from femdeform.contact.obstacle_barrier import ObstacleBarrier
+from femdeform.contact.penalty import PenaltyContact
 from femdeform.contact.terms import CouplingContact, NodeBlocks, NodeContact
 from femdeform.contact.weak_constraints import WeakConstraints
+from femdeform.errors import InputError
 from femdeform.fem import kernels
 from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import Discretization
 from femdeform.fem.energies import CellTerm, ElasticEnergy, FollowerPressure
 from femdeform.parallel import Partition
+from femdeform.step_problem import LocalCells, NodalTerms
 from femdeform.types import FloatArray
 
 # A state whose forces are below this multiple of what rounding may leave is at rest.
@@ -400,6 +403,67 @@ class IncrementalPotential:
             barrier.drift_force(x, drift, product)
         self.partition.accumulate(product)
         return product
+
+    # -------------------------------------------------------------------------------- parts, for local methods
+
+    @property
+    def points(self) -> FloatArray:
+        """Reference positions (n_local, dim) [m]."""
+        return self.discretization.points
+
+    @property
+    def lumped_mass(self) -> FloatArray:
+        """Nodal masses (n_local,) [kg]."""
+        return self.discretization.lumped_mass
+
+    def local_cells(self) -> list[LocalCells]:
+        """See `LocalStepProblem`: the cells of all bodies, merged by law."""
+        if self.partition.n_owned < self.partition.n_global:
+            raise InputError("solver.method: a sweep over the nodes runs on one rank, with threads")
+        if self.couplings or self._barriers:
+            raise InputError("contact: a sweep over the nodes knows obstacles by `method: penalty` only")
+        if not self.quasistatic and self.discretization.consistent_mass is not None:
+            raise InputError("bodies: a sweep over the nodes needs `mass: lumped`")
+        by_law: dict[tuple[type, object], list[LocalCells]] = {}
+        for term in self.elastic:
+            group = term.group
+            if group.kind != "solid" or group.cells.shape[1] != self.dim + 1:
+                raise InputError(
+                    f"bodies.{group.body}: a sweep over the nodes knows linear triangles in 2D and tetrahedra in 3D"
+                )
+            # Gradients are constant: a rule of several points adds up to one.
+            part = LocalCells(group.law, group.cells, group.gradients[:, 0], group.weights.sum(axis=1))
+            by_law.setdefault((type(group.law), tuple(group.law)), []).append(part)
+        return [
+            LocalCells(
+                parts[0].law,
+                np.concatenate([part.cells for part in parts]),
+                np.concatenate([part.gradients for part in parts]),
+                np.concatenate([part.volumes for part in parts]),
+            )
+            for parts in by_law.values()
+        ]
+
+    def nodal_terms(self) -> NodalTerms:
+        """See `LocalStepProblem`."""
+        mass = self.discretization.lumped_mass
+        return NodalTerms(np.zeros_like(mass) if self.quasistatic else mass / self.dt**2, self._x_hat, self.load)
+
+    def node_contacts(self) -> list[PenaltyContact]:
+        """See `LocalStepProblem`."""
+        return [contact for contact in self.contacts if isinstance(contact, PenaltyContact)]
+
+    def follower_forces(self, x: FloatArray) -> FloatArray | None:
+        """See `LocalStepProblem`: pressure."""
+        if not self.pressures:
+            return None
+        first = len(self.elastic)
+        self._slots[: self._first_row[first]] = 0.0
+        for k, term in enumerate(self.pressures):
+            term.gradient(x, self._slots, self._first_row[first + k])
+        out = np.empty((self.discretization.n_nodes, self.dim))
+        self._sum(self._slots, out)
+        return -out
 
     # --------------------------------------------------------------------------------------------- judgement
 

@@ -18,6 +18,7 @@ from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.partial import sound_part
+from femdeform.scene.position_schema import PBNGSolver
 from femdeform.scene.quantity_checks import quantity_findings
 from femdeform.scene.selection_checks import COMPONENTS, hint_of, judge_selection, vectors_inside
 from femdeform.scene.skins import load_skins
@@ -201,6 +202,8 @@ def _solver_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
     chosen = scene.linear_solver
     if isinstance(scene.solver, MixedFEMSolver):
         yield from _mixed_findings(scene, scene.solver)
+    if isinstance(scene.solver, PBNGSolver):
+        yield from _sweep_findings(scene)
     if isinstance(chosen, schema.KSPLinearSolver):
         known = registry.preset_names()
         if chosen.preset not in known:
@@ -228,6 +231,19 @@ def _mixed_findings(scene: schema.DeformableScene, solver: MixedFEMSolver) -> It
     if solver.scheme == "alternating" and isinstance(scene.contact, IPCMethod):
         message = "alternating starts from free flight, which may end inside a barrier; use converged with contact ipc"
         yield Finding(("solver", "scheme"), message)
+
+
+def _sweep_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
+    """What sweeps over the nodes do not know."""
+    for name, body in scene.bodies.items():
+        if not isinstance(body, schema.SolidBody):
+            yield Finding(("bodies", name, "kind"), f"pbng knows solids only, not a {body.kind}")
+        elif body.element_order != 1:
+            yield Finding(("bodies", name, "element_order"), "pbng knows linear elements only")
+        if body.mass == "consistent" and scene.time.scheme != "quasistatic":
+            yield Finding(("bodies", name, "mass"), "pbng needs a mass at each node by itself; use lumped")
+    if isinstance(scene.contact, IPCMethod):
+        yield Finding(("contact", "method"), "pbng knows obstacles by penalty only")
 
 
 # ----------------------------------------------------------------------------------------------- whole files

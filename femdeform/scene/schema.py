@@ -20,6 +20,7 @@ from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.link_schema import Link
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.mixed_schema import MixedFEMSolver
+from femdeform.scene.position_schema import PBNGSolver
 from femdeform.scene.quantity_schema import Expect, Quantity
 from femdeform.scene.scene_model import (
     Direction,
@@ -385,7 +386,7 @@ class ProjectedNewtonSolver(SceneModel):
 
 
 Solver = Annotated[
-    Annotated[ProjectedNewtonSolver | MixedFEMSolver, Field(discriminator="method")],
+    Annotated[ProjectedNewtonSolver | MixedFEMSolver | PBNGSolver, Field(discriminator="method")],
     BeforeValidator(default_tag("method", "projected_newton")),
 ]
 

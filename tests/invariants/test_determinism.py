@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from scenario import block, body, material, run, scene, write
 
 import femdeform.run.checkpoint as checkpoints
@@ -64,3 +65,26 @@ def test_order_of_the_bodies() -> None:
             parts.append((simulation.state.x - simulation.discretization.points)[own])
         assert np.abs(parts[0]).max() > 1e-3
         np.testing.assert_allclose(parts[1], parts[0], atol=1e-9 * np.abs(parts[0]).max())
+
+
+@pytest.mark.parametrize("law", ["neo_hookean", "fixed_corotated", "saint_venant_kirchhoff"])
+def test_threads_do_not_change_a_bit_of_a_sweep(
+    law: str, cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    """Sweeps over nodes in several pieces a colour, with obstacles, a moving support and acceleration."""
+    data = scene(
+        {"b": body(block([1, 1, 1], [9, 9, 9]), material(law, E=2e4))},
+        {"kind": "rotate", "on": "b.top", "axis": [0, 1, 0], "rate": 2.0},
+        gravity=[0.0, -9.81, 0.0],
+        obstacles=[{"kind": "plane", "point": [0, 0.05, 0], "normal": [0, 1, 0], "friction": 0.3}],
+        time={"scheme": "backward_euler", "dt": 0.02, "end": 0.04},
+        solver={"method": "pbng", "tolerance": 1e-6},
+    )
+    write(data, tmp_path / "scene.yaml")
+    for n in (1, 2):
+        done = cli("run", "scene.yaml", "--out", f"threads-{n}", "--threads", n)
+        assert done.returncode == 0, done.stderr
+    a, b = (checkpoints.read_checkpoint(tmp_path / f"threads-{n}") for n in (1, 2))
+    np.testing.assert_array_equal(a.x, b.x)
+    np.testing.assert_array_equal(a.v, b.v)
+    assert np.abs(a.x).max() > 1.0

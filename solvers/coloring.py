@@ -1,0 +1,142 @@
+"""Colours for Gauss-Seidel sweeps: items that share a set differ, so that those of one colour can move at once.
+
+The items are nodes and the sets cells (a node moves with its cells read), or the other way round (a constraint on a
+cell moves its nodes); pairs and other couplings are further sets. Colours are chosen greedily, the smallest free one
+in the given order: the same colours on every machine and for any number of threads.
+
+References
+----------
+J. Chen, dissertation (2024), sections 5.2.4 and 6.7, with the correction that an item's own colour is taken out of its
+sets before it is coloured anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from femdeform.jit import njit
+from femdeform.types import IntArray
+
+
+@dataclass(frozen=True)
+class Incidence:
+    """Which items are in which sets, both ways.
+
+    Attributes
+    ----------
+    set_offsets, set_items : (n_sets + 1,), (n,) int64
+        Items of each set.
+    item_offsets, item_sets : (n_items + 1,), (n,) int64
+        Sets of each item, ascending.
+    """
+
+    set_offsets: IntArray
+    set_items: IntArray
+    item_offsets: IntArray
+    item_sets: IntArray
+
+    @property
+    def n_items(self) -> int:
+        """Number of items."""
+        return self.item_offsets.size - 1
+
+    def transposed(self) -> Incidence:
+        """The same with items and sets exchanged: from the colouring of nodes to that of cells."""
+        return Incidence(self.item_offsets, self.item_sets, self.set_offsets, self.set_items)
+
+
+def incidence(parts: list[np.ndarray[Any, Any]], n_items: int) -> Incidence:
+    """Sets given as rows of items.
+
+    Parameters
+    ----------
+    parts : list of (n_sets_k, size_k) integer arrays
+        Cells of several kinds, pairs of nodes, ...; sets are numbered through the parts.
+    n_items : int
+        Number of items.
+    """
+    sizes = [np.full(len(part), part.shape[1], dtype=np.int64) for part in parts]
+    set_offsets = np.concatenate([[0], np.cumsum(np.concatenate([*sizes, np.empty(0, np.int64)]))]).astype(np.int64)
+    empty: list[np.ndarray[Any, Any]] = [np.empty(0, dtype=np.int64)]
+    items = np.concatenate([part.ravel() for part in parts] or empty).astype(np.int64)
+    sets = np.repeat(np.arange(set_offsets.size - 1), np.diff(set_offsets))
+    order = np.argsort(items, kind="stable")
+    item_offsets = np.concatenate([[0], np.cumsum(np.bincount(items, minlength=n_items))]).astype(np.int64)
+    return Incidence(set_offsets, items, item_offsets, sets[order])
+
+
+def color(graph: Incidence) -> IntArray:
+    """Colour all items in the order of their numbers.
+
+    Parameters
+    ----------
+    graph : Incidence
+        Items and their sets.
+
+    Returns
+    -------
+    (n_items,) int64
+        Colours from 0; no two items of one set have the same.
+    """
+    colors = np.full(graph.n_items, -1, dtype=np.int64)
+    _assign(np.arange(graph.n_items), graph.set_offsets, graph.set_items, graph.item_offsets, graph.item_sets, colors)
+    return colors
+
+
+def recolor(graph: Incidence, colors: IntArray, touched: IntArray) -> IntArray:
+    """Mend a colouring after sets were added: only touched items may change (section 6.7.1).
+
+    Parameters
+    ----------
+    graph : Incidence
+        With the new sets.
+    colors : (n_items,) int64
+        Colours that are valid without them; -1 where an item has none yet.
+    touched : (n,) int64
+        Items of the new sets, each once. They are looked at in this order: one keeps its colour where no other item of
+        its sets has it, and takes the smallest free one else.
+
+    Returns
+    -------
+    (n_items,) int64
+        A valid colouring.
+    """
+    mended = colors.copy()
+    _assign(touched, graph.set_offsets, graph.set_items, graph.item_offsets, graph.item_sets, mended)
+    return mended
+
+
+@njit
+def _assign(items: Any, set_offsets: Any, set_items: Any, item_offsets: Any, item_sets: Any, colors: Any) -> None:
+    """Give each of the items its colour, or the smallest that no other item of its sets has."""
+    most = 0
+    for i in range(item_offsets.size - 1):
+        count = 0
+        for s in range(item_offsets[i], item_offsets[i + 1]):
+            count += set_offsets[item_sets[s] + 1] - set_offsets[item_sets[s]] - 1
+        most = max(most, count)
+    # An item with `most` neighbours finds a free colour among most + 1; colours of an earlier colouring may be higher.
+    taken = np.full(max(most + 1, colors.max() + 1 if colors.size else 0) + 1, -1, dtype=np.int64)
+    for n in range(items.size):
+        i = items[n]
+        for s in range(item_offsets[i], item_offsets[i + 1]):
+            for k in range(set_offsets[item_sets[s]], set_offsets[item_sets[s] + 1]):
+                other = set_items[k]
+                if other != i and colors[other] >= 0:
+                    taken[colors[other]] = i
+        if colors[i] >= 0 and taken[colors[i]] != i:
+            continue
+        c = 0
+        while taken[c] == i:
+            c += 1
+        colors[i] = c
+
+
+def is_valid(graph: Incidence, colors: IntArray) -> bool:
+    """Whether no two items of a set share a colour."""
+    sets = np.repeat(np.arange(graph.set_offsets.size - 1), np.diff(graph.set_offsets))
+    pairs = np.stack([sets, colors[graph.set_items]], axis=1)
+    return bool(np.all(colors >= 0)) and len(np.unique(pairs, axis=0)) == len(pairs)

@@ -1,0 +1,270 @@
+"""One Gauss-Seidel sweep over the nodes of a step problem, compiled, colour by colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from femdeform.materials.arap import ARAP
+from femdeform.materials.fixed_corotated import FixedCorotated
+from femdeform.materials.neo_hookean import NeoHookean
+from femdeform.step_problem import LocalCells, LocalStepProblem
+from femdeform.types import FloatArray, IntArray
+from solvers.coloring import color, incidence
+from solvers.position_based import fast_kernels, layout, move_kernels, node_kernels
+from solvers.position_based.nodal_blocks import is_bounded
+from solvers.position_based.obstacle_kernels import ObstacleData, collect
+
+_CellData = tuple[layout.Indices, FloatArray, FloatArray, Any, tuple[int, ...]]
+
+# Halvings of a step after which a node waits for its neighbours.
+_HALVINGS = 30
+
+
+class NodeTerm(Protocol):
+    """A further energy that couples nodes, such as springs between pairs of points."""
+
+    couples: np.ndarray[Any, Any]  # (n, k) local nodes that must not move at the same time
+
+    def lay_out(self, numbering: layout.Numbering, dtype: Any) -> None:
+        """Prepare for sweeps in this order and precision."""
+
+    def add(self, color: int, x: FloatArray, acc: FloatArray) -> None:
+        """Add forces and matrices of the nodes of one colour to the accumulator; see `node_kernels`."""
+
+
+class NodeSweep:
+    """The arrays of a sweep over the nodes, and the sweep.
+
+    Parameters
+    ----------
+    problem : LocalStepProblem
+    dtype : numpy type
+        float64 or float32.
+    terms : sequence of NodeTerm
+        Energies beyond those of the cells, the loads and the obstacles.
+
+    Attributes
+    ----------
+    numbering : layout.Numbering
+        Order of the nodes; positions given to `sweep` are flat, in this order, three components a node.
+    """
+
+    def __init__(self, problem: LocalStepProblem, dtype: Any = np.float64, terms: Sequence[NodeTerm] = ()) -> None:
+        self.dtype = np.dtype(dtype)
+        groups = list(problem.local_cells())
+        self.n_nodes, self.dim = problem.points.shape
+        sets = [group.cells for group in groups] + [term.couples for term in terms]
+        colors = color(incidence(sets, self.n_nodes))
+        # A node without cells has no stiffness to divide by.
+        used = np.zeros(self.n_nodes, dtype=bool)
+        for group in groups:
+            used[group.cells] = True
+        self.numbering = layout.number_nodes(problem.points, colors, problem.free.any(axis=1) & used)
+        self._parts = [_law_cells(group, self.numbering, self.dtype) for group in groups]
+        self._terms = list(terms)
+        for term in self._terms:
+            term.lay_out(self.numbering, self.dtype)
+        n = self.n_nodes
+        free = np.zeros((n, 3), dtype=np.uint8)
+        free[:, : self.dim] = problem.free[self.numbering.order]
+        self._free = free.ravel()
+        self._weights = np.zeros(n, dtype=self.dtype)
+        self._centers = np.zeros(3 * n, dtype=self.dtype)
+        self._loads = np.zeros(3 * n, dtype=self.dtype)
+        self._follower = np.zeros((n, self.dim))
+        self._load = np.zeros((n, self.dim))
+        self._acc = np.zeros(9 * n, dtype=self.dtype)
+        self._steps = np.zeros(3 * n, dtype=self.dtype)
+        self._taken = np.ones(n, dtype=self.dtype)
+        self._obstacles: ObstacleData | None = None
+        self._needs_check = any(not part.is_bounded for part in self._parts)
+
+    @property
+    def n_colors(self) -> int:
+        """Number of colours, one threaded loop each."""
+        return self.numbering.n_colors
+
+    @property
+    def moving(self) -> slice:
+        """The part of flat positions that sweeps change."""
+        return slice(0, 3 * int(self.numbering.color_offsets[-1]))
+
+    def begin_step(self, problem: LocalStepProblem) -> None:
+        """Take over what the step begun has frozen: inertia, loads, obstacles."""
+        terms = problem.nodal_terms()
+        self._weights[:] = terms.weights[self.numbering.order]
+        self._write(self._centers, terms.centers)
+        self._load = terms.loads
+        self._write(self._loads, self._load)
+        contacts = problem.node_contacts()
+        self._obstacles = collect(contacts, self.numbering.place, self.dim) if contacts else None
+
+    def update_loads(self, problem: LocalStepProblem, x: FloatArray) -> None:
+        """Evaluate forces that follow the positions x (n_nodes, dim), where there are any."""
+        follower = problem.follower_forces(x)
+        if follower is not None:
+            self._write(self._loads, self._load + follower)
+
+    def flat(self, x: FloatArray) -> FloatArray:
+        """Positions (n_nodes, dim) in the order, the precision and the width of the sweep."""
+        out = np.zeros(3 * self.n_nodes, dtype=self.dtype)
+        self._write(out, x)
+        return out
+
+    def unflat(self, flat: FloatArray, out: FloatArray) -> None:
+        """Write flat positions of the nodes that move back to ``out`` (n_nodes, dim)."""
+        n = int(self.numbering.color_offsets[-1])
+        out[self.numbering.order[:n]] = flat.reshape(-1, 3)[:n, : self.dim]
+
+    def _write(self, flat: FloatArray, field: FloatArray) -> None:
+        flat.reshape(-1, 3)[:, : self.dim] = field[self.numbering.order]
+
+    def sweep(self, x: FloatArray, relaxation: float = 1.0) -> None:
+        """Move every node once.
+
+        Parameters
+        ----------
+        x : (3 n_nodes,)
+            Flat positions [m], see `flat`; changed.
+        relaxation : float
+            Factor of the step of every node that touches no obstacle, in (0, 2).
+        """
+        factor = self.dtype.type(relaxation)
+        offsets = self.numbering.color_offsets
+        at_once = self._obstacles is None and not self._needs_check
+        for c in range(self.n_colors):
+            first, last = int(offsets[c]), int(offsets[c + 1])
+            for part in self._parts:
+                part.add(c, x, self._acc)
+            for term in self._terms:
+                term.add(c, x, self._acc)
+            self._find_steps(first, last, factor, at_once, x)
+            if at_once:
+                continue
+            for part in self._parts:
+                if not part.is_bounded:
+                    part.shorten(c, x, self._steps, self._taken)
+            move_kernels.take_steps(first, last, self._taken, self._steps, x)
+
+    def _find_steps(self, first: int, last: int, factor: Any, at_once: bool, x: FloatArray) -> None:
+        nodal = (self._weights, self._centers, self._loads, self._free, factor)
+        data = self._obstacles
+        if data is None:
+            move_kernels.find_steps(first, last, *nodal, at_once, x, self._acc, self._steps)
+            return
+        move_kernels.find_steps_in_contact(
+            first,
+            last,
+            *nodal,
+            data.rows,
+            data.kinds,
+            data.shapes,
+            data.shifts,
+            data.slips,
+            data.stiffness,
+            data.limits,
+            data.starts,
+            data.normals,
+            x,
+            self._acc,
+            self._steps,
+        )
+
+
+class _LawCells:
+    """Cells of one law, by the kernel for any law."""
+
+    needs_gradients = True
+
+    def __init__(self, cells: LocalCells, numbering: layout.Numbering, dtype: Any) -> None:
+        self.visits = layout.list_visits(cells, numbering, dtype, self.needs_gradients)
+        self.dim = (0,) * (cells.cells.shape[1] - 1)
+        self.is_bounded = is_bounded(cells.law)
+        self._flat = float(np.finfo(dtype).eps) ** 0.6
+
+    def _arguments(self, color: int) -> tuple[IntArray, layout.Indices, IntArray, _CellData]:
+        v = self.visits
+        return v.chunks[color], v.nodes, v.offsets, (v.others, v.gradients, v.volumes, v.law, self.dim)
+
+    def add(self, color: int, x: FloatArray, acc: FloatArray) -> None:
+        """Add forces and matrices of the nodes of one colour."""
+        chunks, nodes, offsets, cells = self._arguments(color)
+        node_kernels.add_cells(chunks, nodes, offsets, *cells, x, acc)
+
+    def shorten(self, color: int, x: FloatArray, steps: FloatArray, parts: FloatArray) -> None:
+        """Lower the parts of steps that these cells allow."""
+        chunks, nodes, offsets, cells = self._arguments(color)
+        node_kernels.shorten_steps(chunks, nodes, offsets, *cells, self._flat, _HALVINGS, x, steps, parts)
+
+
+class _NeoHookeanCells(_LawCells):
+    """Tetrahedra of the neo-Hookean law."""
+
+    needs_gradients = False
+
+    def __init__(self, cells: LocalCells, numbering: layout.Numbering, dtype: Any) -> None:
+        super().__init__(cells, numbering, dtype)
+        v = self.visits
+        self._scales = (1.0 / (6.0 * v.volumes.astype(np.float64))).astype(dtype)
+        self._stencil = layout.laplacian(cells, numbering, v.nodes, dtype)
+
+    def add(self, color: int, x: FloatArray, acc: FloatArray) -> None:
+        v, s = self.visits, self._stencil
+        fast_kernels.add_neo_hookean(
+            v.chunks[color],
+            v.nodes,
+            v.offsets,
+            v.others,
+            self._scales,
+            s.offsets,
+            s.neighbours,
+            s.weights,
+            s.diagonal,
+            v.law,
+            x,
+            acc,
+        )
+
+
+class _RotatedCells(_LawCells):
+    """Tetrahedra of the fixed corotated law and of ARAP."""
+
+    def __init__(self, cells: LocalCells, numbering: layout.Numbering, dtype: Any) -> None:
+        super().__init__(cells, numbering, dtype)
+        v = self.visits
+        volumes = v.volumes.astype(np.float64)
+        self._scales = (1.0 / (6.0 * volumes)).astype(dtype)
+        squares = volumes * np.sum(v.gradients[:3].astype(np.float64) ** 2, axis=0)
+        self._diagonal = np.add.reduceat(squares, v.offsets[:-1]).astype(dtype) if squares.size else squares
+        # The corrections are cubic in the last one: its square at rounding to the power of two thirds.
+        self._tolerance = 0.4 * float(np.finfo(dtype).eps) ** (2.0 / 3.0)
+
+    def add(self, color: int, x: FloatArray, acc: FloatArray) -> None:
+        v = self.visits
+        fast_kernels.add_rotated(
+            v.chunks[color],
+            v.nodes,
+            v.offsets,
+            v.others,
+            v.gradients,
+            v.volumes,
+            self._scales,
+            self._diagonal,
+            v.law,
+            self._tolerance,
+            self.dim,
+            x,
+            acc,
+        )
+
+
+def _law_cells(cells: LocalCells, numbering: layout.Numbering, dtype: Any) -> _LawCells:
+    if cells.cells.shape[1] == 4:
+        if isinstance(cells.law, NeoHookean):
+            return _NeoHookeanCells(cells, numbering, dtype)
+        if isinstance(cells.law, (FixedCorotated, ARAP)):
+            return _RotatedCells(cells, numbering, dtype)
+    return _LawCells(cells, numbering, dtype)
