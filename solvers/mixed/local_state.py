@@ -9,7 +9,6 @@ from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.types import FloatArray
 from solvers.mixed import local_kernels
 
-
 # Stress over mu below which a multiplier is rounding.
 _ROUNDING = 1e-9
 
