@@ -56,7 +56,7 @@ def tumble(law: str, solver: dict[str, Any]) -> dict[str, Array]:
         result = simulation.solver.step(problem, simulation.state)
         assert result.accepted, result.reason
         simulation.state = problem.accept(simulation.state, result.x)
-        # Backward Euler's change of the angular momentum (methods.md, section 6): h sum v_new x M v_old.
+        # Backward Euler's change of the angular momentum: h sum v_new x M v_old.
         record(H * moment(simulation.state.v, before))
     return {name: np.array(values) for name, values in rows.items()}
 
