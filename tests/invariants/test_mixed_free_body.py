@@ -89,7 +89,7 @@ def test_two_hundred_steps_of_a_free_body(law: str, scheme: str, balance: float)
     assert 1.005 < found["volume"].max() < 1.01
 
 
-# One outer iteration keeps one quadratic model of the energy a step, which is exact for corotated and not for neo-Hookean:
+# One outer iteration keeps one quadratic model of the energy a step: exact for corotated, not for neo-Hookean:
 # 1.3e-5 there.
 @pytest.mark.parametrize(("law", "of_alternating"), [("corotated", 1e-9), ("neo_hookean", 3e-5)])
 def test_both_schemes_lose_what_newton_loses(law: str, of_alternating: float) -> None:
