@@ -56,7 +56,7 @@ def tumble(law: str, solver: dict[str, Any]) -> dict[str, Array]:
         result = simulation.solver.step(problem, simulation.state)
         assert result.accepted, result.reason
         simulation.state = problem.accept(simulation.state, result.x)
-        # Backward Euler's change of the angular momentum (methods.md, section 6): h sum v_new x M v_old.
+        # Backward Euler's change of the angular momentum: h sum v_new x M v_old.
         record(H * moment(simulation.state.v, before))
     return {name: np.array(values) for name, values in rows.items()}
 
@@ -89,9 +89,11 @@ def test_two_hundred_steps_of_a_free_body(law: str, scheme: str, balance: float)
     assert 1.005 < found["volume"].max() < 1.01
 
 
-@pytest.mark.parametrize("law", ["corotated", "neo_hookean"])
-def test_both_schemes_lose_what_newton_loses(law: str) -> None:
+# One outer iteration keeps one quadratic model of the energy a step: exact for corotated, not for neo-Hookean:
+# 1.3e-5 there.
+@pytest.mark.parametrize(("law", "of_alternating"), [("corotated", 1e-9), ("neo_hookean", 3e-5)])
+def test_both_schemes_lose_what_newton_loses(law: str, of_alternating: float) -> None:
     newton = tumble(law, {"method": "projected_newton", "tolerance": 1e-12})
-    for scheme, rtol in (("converged", 1e-10), ("alternating", 1e-6)):
+    for scheme, rtol in (("converged", 1e-10), ("alternating", of_alternating)):
         found = tumble(law, SCHEMES[scheme])
         np.testing.assert_allclose(found["energy"], newton["energy"], rtol=rtol)
