@@ -115,7 +115,9 @@ def test_numbers_out_of_range(overflow: str, action: str, tmp_path: Path, say: S
     result = facts(out)
     assert (result["status"], result["reason"], result["steps"]) == ("not_converged", reason, 0)
     assert reason.startswith("step 1 to t = ")
-    assert "not finite" in reason or "line search failed" in reason
+    # Without inertia, which an infinite step leaves none of, nothing holds the body.
+    words = ("not finite", "line search failed", "the system may be singular")
+    assert any(text in reason for text in words)
     final = Result.open(out).read_final()
     assert np.all(final.displacement == 0.0)
     assert read_checkpoint(out).step == 0

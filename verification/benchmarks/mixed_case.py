@@ -87,7 +87,7 @@ def _substeps(simulation: Simulation, dt: float) -> dict[str, Any]:
     facts: dict[str, Any] = {}
 
     def judge(row: Mapping[str, Any], x: FloatArray) -> None:
-        if "kkt_momentum_residual" in row:
+        if "kkt_constraint_residual" in row:
             facts["momentum"], facts["constraint"] = row["kkt_momentum_residual"], row["kkt_constraint_residual"]
         else:
             scheme = getattr(solver, "_alternating", None)

@@ -136,7 +136,7 @@ def test_a_torn_line_in_the_middle_is_named(folder: Path) -> None:
     path = folder / "history.csv"
     lines = path.read_text().splitlines(keepends=True)
     path.write_text(lines[0] + "1,0.5\n" + lines[2])
-    with pytest.raises(InputError, match=r"history\.csv:2: 2 cells, the header has 12"):
+    with pytest.raises(InputError, match=r"history\.csv:2: 2 cells, the header has 13"):
         _ = Result.open(folder).history
 
 
