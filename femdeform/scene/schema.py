@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from femdeform.scene.constraint_schema import BPXPBDSolver, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.mixed_schema import MixedFEMSolver
@@ -381,7 +382,17 @@ class ProjectedNewtonSolver(SceneModel):
 
 
 Solver = Annotated[
-    Annotated[ProjectedNewtonSolver | MixedFEMSolver | PBNGSolver, Field(discriminator="method")],
+    Annotated[
+        ProjectedNewtonSolver
+        | MixedFEMSolver
+        | PBNGSolver
+        | XPBDSolver
+        | PBDSolver
+        | XPBDQSSolver
+        | BPXPBDSolver
+        | FPPXPBDSolver,
+        Field(discriminator="method"),
+    ],
     BeforeValidator(default_tag("method", "projected_newton")),
 ]
 

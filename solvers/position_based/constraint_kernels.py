@@ -1,0 +1,196 @@
+"""Kernels of XPBD and B-PXPBD: one visit to every cell of a colour.
+
+Cells of a colour share no node: each thread writes to its own corners, so the result does not depend on the number of
+threads. Positions lie in an array with `stride` numbers a node: x (3), the inverse mass w [1/kg], and where the
+method needs it the base point b (3) and one number unused. In 2D the third components are not used.
+
+With s = h^2 V k and the multiplier l [kg m^2], XPBD's step of one constraint is
+
+    dl = -(s C + l) / (s D : D K + 1),    M = D dl,
+
+which is ``-(C + a l) / (sum w |grad C|^2 + a)`` with a = alpha / h^2 = 1 / s, also for k = 0. PBD is the limit of
+infinite stiffness, where s and l drop out.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from femdeform.jit import njit, prange
+from solvers.position_based.cell_algebra import combine, deformation, dot, load, mobility, spread, store, times
+from solvers.position_based.constraints import root_constraint, shear_constraint, stiffnesses, volume_constraint
+
+
+@njit
+def _step_length(C: Any, slope: Any, s: Any, l: Any, rigid: Any) -> Any:
+    """Change of the multiplier of a constraint with D : D K = slope."""
+    if rigid:
+        return -C / slope if slope > 0.0 else 0.0 * C
+    return -(s * C + l) / (s * slope + 1.0)
+
+
+@njit(parallel=True)
+def project_pairs(
+    first: Any,
+    last: Any,
+    corners: Any,
+    gradients: Any,
+    volumes: Any,
+    masks: Any,
+    law: Any,
+    dim: Any,
+    h2: Any,
+    epsilon: Any,
+    rigid: Any,
+    reverse: Any,
+    x: Any,
+    multipliers: Any,
+) -> None:
+    """XPBD on the pair of constraints of each cell from first to last, one after the other.
+
+    Parameters
+    ----------
+    first, last : int
+        Cells of one colour.
+    corners : (n_cells, dim + 1) uint32
+        Where each corner's numbers begin in x.
+    gradients : (n_cells, dim dim)
+        Gradients of the shape functions of all corners but the first [1/m].
+    volumes : (n_cells,)
+        Rest volumes [m^3].
+    masks : (n_cells, (dim + 1) dim) or ()
+        0 where a component of a corner is prescribed.
+    law : NamedTuple
+    dim : tuple
+        Its length is the dimension.
+    h2 : float
+        Square of the time step [s^2].
+    epsilon : float
+        See `shear_constraint`.
+    rigid : bool
+        PBD: infinite stiffness, no multipliers.
+    reverse : bool
+        Volume before shear.
+    x : (n_nodes stride,)
+        See the module.
+    multipliers : (n_cells, 2)
+        [kg m^2].
+    """
+    k1, k2 = stiffnesses(law)
+    for e in prange(first, last):
+        F = deformation(e, 0, corners, gradients, dim, x)
+        K = mobility(e, corners, gradients, masks, dim, x)
+        scale = h2 * volumes[e]
+        M = combine(F, 0.0, F, 0.0)
+        for turn in range(2):
+            if (turn == 0) != reverse:
+                C, D = shear_constraint(F, law, epsilon)
+                s, c = scale * k1, 0
+            else:
+                C, D = volume_constraint(F, law)
+                s, c = scale * k2, 1
+            if s > 0.0:
+                DK = times(D, K)
+                step = _step_length(C, dot(D, DK), s, multipliers[e, c], rigid)
+                F = combine(F, 1.0, DK, step)
+                M = combine(M, 1.0, D, step)
+                multipliers[e, c] += step
+        spread(e, 0, 0.0, M, corners, gradients, masks, dim, x)
+
+
+@njit(parallel=True)
+def project_roots(
+    first: Any,
+    last: Any,
+    corners: Any,
+    gradients: Any,
+    volumes: Any,
+    masks: Any,
+    law: Any,
+    dim: Any,
+    h2: Any,
+    epsilon: Any,
+    x: Any,
+    multipliers: Any,
+) -> None:
+    """XPBD on the one constraint ``sqrt(2 Psi/mu)`` of each cell; see `project_pairs`."""
+    for e in prange(first, last):
+        F = deformation(e, 0, corners, gradients, dim, x)
+        K = mobility(e, corners, gradients, masks, dim, x)
+        C, D = root_constraint(F, law, epsilon)
+        slope = dot(D, times(D, K))
+        step = _step_length(C, slope, h2 * volumes[e] * law.mu, multipliers[e, 0], False)
+        multipliers[e, 0] += step
+        spread(e, 0, 0.0, combine(D, step, D, 0.0), corners, gradients, masks, dim, x)
+
+
+@njit(parallel=True)
+def project_blended(
+    first: Any,
+    last: Any,
+    corners: Any,
+    gradients: Any,
+    volumes: Any,
+    masks: Any,
+    law: Any,
+    dim: Any,
+    h2: Any,
+    epsilon: Any,
+    zeta: Any,
+    keep: Any,
+    x: Any,
+    multipliers: Any,
+    forces: Any,
+) -> None:
+    """B-PXPBD on the pair of constraints of each cell; see `project_pairs`.
+
+    With the base point ``b = x~ + w S`` of each node, S the sum of multipliers times gradients as they were when their
+    cells were last visited, r = b - x vanishes where the primary residual does. A visit first replaces what the cell
+    has in S, then takes for each constraint ``x += w D g dl + (1 - zeta) r``, and puts the rest in S.
+
+    Parameters
+    ----------
+    zeta : (n_cells,)
+        Part of XPBD.
+    keep : bool
+        Instead keep the primary residual in the step of the multiplier (eq. 5.11): a comparison, with zeta = 0.
+    forces : (n_cells, dim dim)
+        ``sum_c l_c D_c`` of each cell as it is in S [kg m^2].
+    """
+    k1, k2 = stiffnesses(law)
+    for e in prange(first, last):
+        F = deformation(e, 0, corners, gradients, dim, x)
+        base = deformation(e, 4, corners, gradients, dim, x)
+        K = mobility(e, corners, gradients, masks, dim, x)
+        scale, z = h2 * volumes[e], zeta[e]
+        old = load(e, forces, dim)
+        C, D = shear_constraint(F, law, epsilon)
+        _, W = volume_constraint(F, law)
+        R = combine(base, 1.0, F, -1.0)
+        held = combine(D, multipliers[e, 0], W, multipliers[e, 1])
+        # What of r is left of the change of S by this visit, as `left` w g; and of the r before it, `rest`.
+        left = combine(held, 1.0, old, -1.0)
+        R = combine(R, 1.0, times(left, K), 1.0)
+        rest = 1.0
+        for c in range(2):
+            s = scale * (k1 if c == 0 else k2)
+            if c == 1:
+                C, D = volume_constraint(F, law)
+                change = combine(D, multipliers[e, 1], W, -multipliers[e, 1])
+                held = combine(held, 1.0, change, 1.0)
+                left = combine(left, 1.0, change, 1.0)
+                R = combine(R, 1.0, times(change, K), 1.0)
+            DK = times(D, K)
+            value = C + dot(D, R) if keep else C
+            step = _step_length(value, dot(D, DK), s, multipliers[e, c], False)
+            F = combine(combine(F, 1.0, DK, step), 1.0, R, 1.0 - z)
+            held = combine(held, 1.0, D, step)
+            multipliers[e, c] += step
+            R = combine(R, z, R, 0.0)
+            left = combine(left, z, left, 0.0)
+            rest *= z
+        change = combine(held, 1.0, old, -1.0)
+        # x becomes b - r: b has changed by w `change` g, and what is left of r by `rest` and `left`.
+        spread(e, 0, 1.0 - rest, combine(change, 1.0, left, -1.0), corners, gradients, masks, dim, x)
+        spread(e, 4, 0.0, change, corners, gradients, masks, dim, x)
+        store(e, held, forces)
