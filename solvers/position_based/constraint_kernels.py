@@ -175,8 +175,10 @@ def project_blended(
         for c in range(2):
             s = scale * (k1 if c == 0 else k2)
             if c == 1:
+                _, E = shear_constraint(F, law, epsilon)
                 C, D = volume_constraint(F, law)
-                change = combine(D, multipliers[e, 1], W, -multipliers[e, 1])
+                fresh = combine(E, multipliers[e, 0], D, multipliers[e, 1])
+                change = combine(fresh, 1.0, held, -1.0)
                 held = combine(held, 1.0, change, 1.0)
                 left = combine(left, 1.0, change, 1.0)
                 R = combine(R, 1.0, times(change, K), 1.0)
