@@ -47,6 +47,7 @@ ITERATION_COLUMNS = (
     "seconds",
 )
 
+
 class Recorder:
     """Writes one result folder.
 

@@ -143,7 +143,9 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
         cell_rank = registry.resolve(registry.PARTITIONER)(meshes, comm)
     if ranks > 1 and isinstance(scene.solver, (PBNGSolver, *CELL_SWEEPS)):
         page = "pbng" if isinstance(scene.solver, PBNGSolver) else "xpbd"
-        raise InputError(f"solver.method: {scene.solver.method} runs on one rank, with threads (docs/methods/{page}.md)")
+        raise InputError(
+            f"solver.method: {scene.solver.method} runs on one rank, with threads (docs/methods/{page}.md)"
+        )
     discretization = discretize(bodies, cell_rank, comm)
     conditions = Conditions(scene, meshes, discretization)
     notices += conditions.notices
@@ -154,6 +156,4 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
     solver = registry.resolve(registry.SOLVERS[scene.solver.method])(scene.solver, linear_solver)
     velocity = np.zeros_like(discretization.points) if quasistatic else conditions.initial_velocity.copy()
     state = State(discretization.points.copy(), velocity)
-    return Simulation(
-        scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices
-    )
+    return Simulation(scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices)

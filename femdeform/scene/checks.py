@@ -10,10 +10,11 @@ import numpy as np
 from femdeform import registry
 from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
+from femdeform.scene.constraint_schema import CELL_SWEEPS, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_checks import contact_findings
 from femdeform.scene.contact_schema import IPCMethod
 from femdeform.scene.key_path import KeyPath
-from femdeform.scene.constraint_schema import CELL_SWEEPS, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
+
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
 from femdeform.scene.mixed_schema import MixedFEMSolver

@@ -123,7 +123,7 @@ class BPXPBDSolver(_Converging):
         ge=0.0,
         le=1.0,
         description="part of XPBD: higher is more stable, 1 stagnates; null: from the stiffness number kappa of each "
-        "cell, 1 - 0.1/kappa [-]",
+        "cell, 1 - 0.05/kappa [-]",
     )
     epsilon: float = Field(default=1e-10, ge=0.0, lt=1.0, description=_EPSILON)
 

@@ -377,9 +377,7 @@ def _push_2d(p: Any, shift: Any, w: Any, keep: Any, M: Any, g: Any, x: Any) -> N
     x[q + 1] += s1
 
 
-def spread(
-    e: Any, shift: Any, keep: Any, M: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any
-) -> None:
+def spread(e: Any, shift: Any, keep: Any, M: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any) -> None:
     """``v_i += keep r_i + w_i M g_i`` at the corners of cell e.
 
     v are the vectors that begin `shift` after each corner's place; r is the vector four numbers after the place less
@@ -389,9 +387,7 @@ def spread(
 
 
 @overload(spread)
-def _spread(
-    e: Any, shift: Any, keep: Any, M: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any
-) -> Any:
+def _spread(e: Any, shift: Any, keep: Any, M: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any) -> Any:
     def spatial(
         e: Any, shift: Any, keep: Any, M: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any
     ) -> None:
@@ -480,9 +476,7 @@ def _misfit(e: Any, s: Any, P: Any, corners: Any, gradients: Any, masks: Any, di
     d = len(dim)
     masked = not isinstance(masks, types.BaseTuple)
 
-    def implementation(
-        e: Any, s: Any, P: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any
-    ) -> Any:
+    def implementation(e: Any, s: Any, P: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any) -> Any:
         total = 0.0
         for i in range(d + 1):
             p = corners[e, i]

@@ -214,9 +214,7 @@ class PseudoTimeStep(ConstraintStep):
             before = self.x.copy()
             follower = problem.follower_forces(before)
             forces = terms.loads if follower is None else terms.loads + follower
-            target = np.where(
-                problem.free, before + dt * dt * forces / problem.lumped_mass[:, None], before
-            )
+            target = np.where(problem.free, before + dt * dt * forces / problem.lumped_mass[:, None], before)
             self.sweep.begin(problem, target, dt)
             self._sweeps(self.iteration + sweeps, reverse)
             self.sweep.read(self.x)

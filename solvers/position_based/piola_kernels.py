@@ -177,9 +177,7 @@ def relax_cells(
                             t = 0.0
                             break
                         tried = combine(reached, 1.0 - t, ahead, t)
-                        after, _ = _local_energy(
-                            (1.0 - t) * part, tried, combine(F, 1.0, dF, t), far, Q, K, s, law
-                        )
+                        after, _ = _local_energy((1.0 - t) * part, tried, combine(F, 1.0, dF, t), far, Q, K, s, law)
                         if after <= before + _ROUNDING * scale:
                             break
                         t *= 0.5
