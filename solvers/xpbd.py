@@ -83,8 +83,8 @@ class XPBD(CellSolver):
     Limitations
     -----------
     The constraints are met, C + alpha/h^2 l = 0, but the equations of motion are not: the residual stagnates at some
-    tenth of what it was, and where it ends depends on the order of the constraints. Linear triangles and tetrahedra with
-    lumped mass; fixed corotated, ARAP and neo-Hookean laws; obstacles by penalty; dynamics; one rank.
+    tenth of what it was, and where it ends depends on the order of the constraints. Linear triangles and tetrahedra
+    with lumped mass; fixed corotated, ARAP and neo-Hookean laws; obstacles by penalty; dynamics; one rank.
     """
 
     options: XPBDSolver
@@ -136,8 +136,8 @@ class XPBDQuasistatic(CellSolver):
 
     Limitations
     -----------
-    A comparison. Where it comes to rest is not the static solution: it depends on the pseudo-time step, on the sweeps in
-    it and on the order of the constraints. The residual tells by how much. Otherwise as XPBD.
+    A comparison. Where it comes to rest is not the static solution: it depends on the pseudo-time step, on the sweeps
+    in it and on the order of the constraints. The residual tells by how much. Otherwise as XPBD.
     """
 
     options: XPBDQSSolver

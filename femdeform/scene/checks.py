@@ -14,7 +14,6 @@ from femdeform.scene.constraint_schema import CELL_SWEEPS, FPPXPBDSolver, PBDSol
 from femdeform.scene.contact_checks import contact_findings
 from femdeform.scene.contact_schema import IPCMethod
 from femdeform.scene.key_path import KeyPath
-
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
 from femdeform.scene.mixed_schema import MixedFEMSolver

@@ -71,11 +71,12 @@ def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
     Parameters
     ----------
     problem : LocalStepProblem
+        With linear triangles or tetrahedra.
     stride : int
         Numbers a node.
     """
     groups = list(problem.local_cells())
-    moves = problem.free.any(axis=1)
+    moves: BoolArray = np.any(problem.free, axis=1)
     n_nodes = len(problem.points)
     parts = [_moving(group, moves) for group in groups]
     colors = color(incidence([part.cells for part in parts], n_nodes).transposed())
@@ -85,7 +86,7 @@ def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
     numbering = layout.number_nodes(problem.points, np.zeros(n_nodes, dtype=np.int64), moves & used)
     n_colors = int(colors.max()) + 1 if colors.size else 0
     # Nodes some of whose components are prescribed make their cells a batch of their own, with masks.
-    split = moves & ~problem.free.all(axis=1)
+    split: BoolArray = moves & ~np.all(problem.free, axis=1)
     batches = []
     first = 0
     for part in parts:

@@ -20,13 +20,16 @@ from femdeform.jit import njit, prange
 from solvers.position_based.cell_algebra import combine, deformation, dot, load, mobility, spread, store, times
 from solvers.position_based.constraints import root_constraint, shear_constraint, stiffnesses, volume_constraint
 
+# Cells that one thread takes at a time.
+CHUNK = 64
+
 
 @njit
-def _step_length(C: Any, slope: Any, s: Any, l: Any, rigid: Any) -> Any:
+def _step_length(C: Any, slope: Any, s: Any, multiplier: Any, rigid: Any) -> Any:
     """Change of the multiplier of a constraint with D : D K = slope."""
     if rigid:
         return -C / slope if slope > 0.0 else 0.0 * C
-    return -(s * C + l) / (s * slope + 1.0)
+    return -(s * C + multiplier) / (s * slope + 1.0)
 
 
 @njit(parallel=True)
@@ -61,6 +64,7 @@ def project_pairs(
     masks : (n_cells, (dim + 1) dim) or ()
         0 where a component of a corner is prescribed.
     law : NamedTuple
+        The law, one of `constraints.PAIRED`.
     dim : tuple
         Its length is the dimension.
     h2 : float
@@ -77,25 +81,26 @@ def project_pairs(
         [kg m^2].
     """
     k1, k2 = stiffnesses(law)
-    for e in prange(first, last):
-        F = deformation(e, 0, corners, gradients, dim, x)
-        K = mobility(e, corners, gradients, masks, dim, x)
-        scale = h2 * volumes[e]
-        M = combine(F, 0.0, F, 0.0)
-        for turn in range(2):
-            if (turn == 0) != reverse:
-                C, D = shear_constraint(F, law, epsilon)
-                s, c = scale * k1, 0
-            else:
-                C, D = volume_constraint(F, law)
-                s, c = scale * k2, 1
-            if s > 0.0:
-                DK = times(D, K)
-                step = _step_length(C, dot(D, DK), s, multipliers[e, c], rigid)
-                F = combine(F, 1.0, DK, step)
-                M = combine(M, 1.0, D, step)
-                multipliers[e, c] += step
-        spread(e, 0, 0.0, M, corners, gradients, masks, dim, x)
+    for c in prange((last - first + CHUNK - 1) // CHUNK):
+        for e in range(first + c * CHUNK, min(first + (c + 1) * CHUNK, last)):
+            F = deformation(e, 0, corners, gradients, dim, x)
+            K = mobility(e, corners, gradients, masks, dim, x)
+            scale = h2 * volumes[e]
+            M = combine(F, 0.0, F, 0.0)
+            for turn in range(2):
+                if (turn == 0) != reverse:
+                    C, D = shear_constraint(F, law, epsilon)
+                    s, which = scale * k1, 0
+                else:
+                    C, D = volume_constraint(F, law)
+                    s, which = scale * k2, 1
+                if s > 0.0:
+                    DK = times(D, K)
+                    step = _step_length(C, dot(D, DK), s, multipliers[e, which], rigid)
+                    F = combine(F, 1.0, DK, step)
+                    M = combine(M, 1.0, D, step)
+                    multipliers[e, which] += step
+            spread(e, 0, 0.0, M, corners, gradients, masks, dim, x)
 
 
 @njit(parallel=True)
@@ -114,14 +119,15 @@ def project_roots(
     multipliers: Any,
 ) -> None:
     """XPBD on the one constraint ``sqrt(2 Psi/mu)`` of each cell; see `project_pairs`."""
-    for e in prange(first, last):
-        F = deformation(e, 0, corners, gradients, dim, x)
-        K = mobility(e, corners, gradients, masks, dim, x)
-        C, D = root_constraint(F, law, epsilon)
-        slope = dot(D, times(D, K))
-        step = _step_length(C, slope, h2 * volumes[e] * law.mu, multipliers[e, 0], False)
-        multipliers[e, 0] += step
-        spread(e, 0, 0.0, combine(D, step, D, 0.0), corners, gradients, masks, dim, x)
+    for c in prange((last - first + CHUNK - 1) // CHUNK):
+        for e in range(first + c * CHUNK, min(first + (c + 1) * CHUNK, last)):
+            F = deformation(e, 0, corners, gradients, dim, x)
+            K = mobility(e, corners, gradients, masks, dim, x)
+            C, D = root_constraint(F, law, epsilon)
+            slope = dot(D, times(D, K))
+            step = _step_length(C, slope, h2 * volumes[e] * law.mu, multipliers[e, 0], False)
+            multipliers[e, 0] += step
+            spread(e, 0, 0.0, combine(D, step, D, 0.0), corners, gradients, masks, dim, x)
 
 
 @njit(parallel=True)
@@ -142,7 +148,7 @@ def project_blended(
     multipliers: Any,
     forces: Any,
 ) -> None:
-    """B-PXPBD on the pair of constraints of each cell; see `project_pairs`.
+    """B-PXPBD on the pair of constraints of each cell.
 
     With the base point ``b = x~ + w S`` of each node, S the sum of multipliers times gradients as they were when their
     cells were last visited, r = b - x vanishes where the primary residual does. A visit first replaces what the cell
@@ -150,6 +156,8 @@ def project_blended(
 
     Parameters
     ----------
+    first, last, corners, gradients, volumes, masks, law, dim, h2, epsilon, x, multipliers
+        See `project_pairs`.
     zeta : (n_cells,)
         Part of XPBD.
     keep : bool
@@ -158,41 +166,42 @@ def project_blended(
         ``sum_c l_c D_c`` of each cell as it is in S [kg m^2].
     """
     k1, k2 = stiffnesses(law)
-    for e in prange(first, last):
-        F = deformation(e, 0, corners, gradients, dim, x)
-        base = deformation(e, 4, corners, gradients, dim, x)
-        K = mobility(e, corners, gradients, masks, dim, x)
-        scale, z = h2 * volumes[e], zeta[e]
-        old = load(e, forces, dim)
-        C, D = shear_constraint(F, law, epsilon)
-        _, W = volume_constraint(F, law)
-        R = combine(base, 1.0, F, -1.0)
-        held = combine(D, multipliers[e, 0], W, multipliers[e, 1])
-        # What of r is left of the change of S by this visit, as `left` w g; and of the r before it, `rest`.
-        left = combine(held, 1.0, old, -1.0)
-        R = combine(R, 1.0, times(left, K), 1.0)
-        rest = 1.0
-        for c in range(2):
-            s = scale * (k1 if c == 0 else k2)
-            if c == 1:
-                _, E = shear_constraint(F, law, epsilon)
-                C, D = volume_constraint(F, law)
-                fresh = combine(E, multipliers[e, 0], D, multipliers[e, 1])
-                change = combine(fresh, 1.0, held, -1.0)
-                held = combine(held, 1.0, change, 1.0)
-                left = combine(left, 1.0, change, 1.0)
-                R = combine(R, 1.0, times(change, K), 1.0)
-            DK = times(D, K)
-            value = C + dot(D, R) if keep else C
-            step = _step_length(value, dot(D, DK), s, multipliers[e, c], False)
-            F = combine(combine(F, 1.0, DK, step), 1.0, R, 1.0 - z)
-            held = combine(held, 1.0, D, step)
-            multipliers[e, c] += step
-            R = combine(R, z, R, 0.0)
-            left = combine(left, z, left, 0.0)
-            rest *= z
-        change = combine(held, 1.0, old, -1.0)
-        # x becomes b - r: b has changed by w `change` g, and what is left of r by `rest` and `left`.
-        spread(e, 0, 1.0 - rest, combine(change, 1.0, left, -1.0), corners, gradients, masks, dim, x)
-        spread(e, 4, 0.0, change, corners, gradients, masks, dim, x)
-        store(e, held, forces)
+    for c in prange((last - first + CHUNK - 1) // CHUNK):
+        for e in range(first + c * CHUNK, min(first + (c + 1) * CHUNK, last)):
+            F = deformation(e, 0, corners, gradients, dim, x)
+            base = deformation(e, 4, corners, gradients, dim, x)
+            K = mobility(e, corners, gradients, masks, dim, x)
+            scale, z = h2 * volumes[e], zeta[e]
+            old = load(e, forces, dim)
+            C, D = shear_constraint(F, law, epsilon)
+            _, W = volume_constraint(F, law)
+            R = combine(base, 1.0, F, -1.0)
+            held = combine(D, multipliers[e, 0], W, multipliers[e, 1])
+            # What of r is left of the change of S by this visit, as `left` w g; and of the r before it, `rest`.
+            left = combine(held, 1.0, old, -1.0)
+            R = combine(R, 1.0, times(left, K), 1.0)
+            rest = 1.0
+            for which in range(2):
+                s = scale * (k1 if which == 0 else k2)
+                if which == 1:
+                    _, E = shear_constraint(F, law, epsilon)
+                    C, D = volume_constraint(F, law)
+                    fresh = combine(E, multipliers[e, 0], D, multipliers[e, 1])
+                    change = combine(fresh, 1.0, held, -1.0)
+                    held = combine(held, 1.0, change, 1.0)
+                    left = combine(left, 1.0, change, 1.0)
+                    R = combine(R, 1.0, times(change, K), 1.0)
+                DK = times(D, K)
+                value = C + dot(D, R) if keep else C
+                step = _step_length(value, dot(D, DK), s, multipliers[e, which], False)
+                F = combine(combine(F, 1.0, DK, step), 1.0, R, 1.0 - z)
+                held = combine(held, 1.0, D, step)
+                multipliers[e, which] += step
+                R = combine(R, z, R, 0.0)
+                left = combine(left, z, left, 0.0)
+                rest *= z
+            change = combine(held, 1.0, old, -1.0)
+            # x becomes b - r: b has changed by w `change` g, and what is left of r by `rest` and `left`.
+            spread(e, 0, 1.0 - rest, combine(change, 1.0, left, -1.0), corners, gradients, masks, dim, x)
+            spread(e, 4, 0.0, change, corners, gradients, masks, dim, x)
+            store(e, held, forces)

@@ -145,6 +145,7 @@ def relax_cells(
     search : bool
         Halve a step until the energy of the cell and of its corners' inertia does not rise.
     x : (n_nodes 8,)
+        See `constraint_kernels`.
     stresses : (n_cells, dim dim)
         P of each cell as it is in the base points [Pa].
     """
@@ -235,7 +236,10 @@ def touch_obstacles(
         0 where a component is prescribed.
     stride : int
         Numbers a node.
+    kinds, shapes, shifts, slips, stiffness, limits, starts, normals
+        See `ObstacleData`.
     x : (n_nodes stride,)
+        See `constraint_kernels`.
     forces : (n, 3)
         Force of contact on each node [N].
     """

@@ -133,7 +133,7 @@ def test_the_residual_is_the_sum_of_both_residuals(law: str) -> None:
         own = batch.gradients.reshape(-1, 3, 3)
         G = np.concatenate([-own.sum(axis=1, keepdims=True), own], axis=1)
         F = np.einsum("eia,eib->eab", x[batch.cells], G)
-        U, s, Vt = np.linalg.svd(F)
+        U, _, Vt = np.linalg.svd(F)
         assert np.linalg.det(F).min() > 0.0
         R = U @ Vt
         J = np.linalg.det(F)
@@ -147,10 +147,10 @@ def test_the_residual_is_the_sum_of_both_residuals(law: str) -> None:
             D1, C2, k1, k2 = F / C1[:, None, None], J - 1.0 - mu / (lmbda + mu), mu, lmbda + mu
         for c, (C, D, k) in enumerate(((C1, D1, k1), (C2, cof, k2))):
             stiffness = 1e-4 * k * batch.volumes
-            l = multipliers[:, c]
-            h = C + l / stiffness
+            held = multipliers[:, c]
+            h = C + held / stiffness
             size += float(np.abs(h).sum())
-            np.add.at(g, batch.cells, -np.einsum("e,eab,eib->eia", l, D, G))
+            np.add.at(g, batch.cells, -np.einsum("e,eab,eib->eia", held, D, G))
             np.add.at(both, batch.cells, np.einsum("e,eab,eib->eia", stiffness * h, D, G))
     assert size > 1e-6
     both += g
@@ -328,7 +328,8 @@ def test_linear_momentum_of_a_free_body(solver: dict[str, Any], lost: float, kep
     )
     X = simulation.discretization.points
     arm = X - X.mean(axis=0)
-    simulation.state.v[:] = np.cross([1.0, 2.0, 3.0], arm) + [1.0, 0.5, 0.0]
+    simulation.state.v[:] = np.cross([1.0, 2.0, 3.0], arm)
+    simulation.state.v += np.array([1.0, 0.5, 0.0])
     simulation.state.v[:, 0] += arm[:, 0]
     mass = simulation.discretization.lumped_mass
     before = mass @ simulation.state.v
