@@ -254,10 +254,11 @@ def touch_obstacles(
             y0 = blend * y0 + (1.0 - blend) * (x[p + 4] - forces[i, 0] / m)
             y1 = blend * y1 + (1.0 - blend) * (x[p + 5] - forces[i, 1] / m)
             y2 = blend * y2 + (1.0 - blend) * (x[p + 6] - forces[i, 2] / m)
-        y = (y0, y1, y2)
+        # From where the node is: near convergence the energies do not cancel.
+        y = (x[p], x[p + 1], x[p + 2])
         zero = 0.0 * m
         s = step_in_contact(
-            (zero, zero, zero, m, m, m, zero, zero, zero),
+            (m * (y0 - y[0]), m * (y1 - y[1]), m * (y2 - y[2]), m, m, m, zero, zero, zero),
             y,
             free[i, 0] != 0,
             free[i, 1] != 0,
@@ -272,9 +273,11 @@ def touch_obstacles(
             starts,
             normals,
         )
+        away = (y[0] + s[0] - y0, y[1] + s[1] - y1, y[2] + s[2] - y2)
         for k in range(3):
-            force = m * s[k]
-            x[p + k] = y[k] + s[k]
-            if has_base:
-                x[p + 4 + k] += (force - forces[i, k]) / m
-            forces[i, k] = force
+            if free[i, k] != 0:
+                force = m * away[k]
+                x[p + k] = y[k] + s[k]
+                if has_base:
+                    x[p + 4 + k] += (force - forces[i, k]) / m
+                forces[i, k] = force
