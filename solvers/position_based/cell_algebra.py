@@ -459,11 +459,31 @@ def _load(e: Any, rows: Any, dim: Any) -> Any:
     return spatial if len(dim) == 3 else planar
 
 
-@njit
 def store(e: Any, A: Any, rows: Any) -> None:
     """Write a matrix to row e."""
-    for k in range(rows.shape[1]):
-        rows[e, k] = A[k]
+    raise NotImplementedError(_COMPILED_ONLY)
+
+
+@overload(store)
+def _store(e: Any, A: Any, rows: Any) -> Any:
+    def spatial(e: Any, A: Any, rows: Any) -> None:
+        rows[e, 0] = A[0]
+        rows[e, 1] = A[1]
+        rows[e, 2] = A[2]
+        rows[e, 3] = A[3]
+        rows[e, 4] = A[4]
+        rows[e, 5] = A[5]
+        rows[e, 6] = A[6]
+        rows[e, 7] = A[7]
+        rows[e, 8] = A[8]
+
+    def planar(e: Any, A: Any, rows: Any) -> None:
+        rows[e, 0] = A[0]
+        rows[e, 1] = A[1]
+        rows[e, 2] = A[2]
+        rows[e, 3] = A[3]
+
+    return planar if len(A) == 4 else spatial
 
 
 def misfit(e: Any, s: Any, P: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any) -> Any:

@@ -16,12 +16,18 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from femdeform.jit import njit, prange
 from solvers.position_based.cell_algebra import combine, deformation, dot, load, mobility, spread, store, times
-from solvers.position_based.constraints import root_constraint, shear_constraint, stiffnesses, volume_constraint
-
-# Cells that one thread takes at a time.
-CHUNK = 64
+from solvers.position_based.chunk_rotations import CHUNK, get, make_scratch, put, rotate, rotation_of
+from solvers.position_based.constraints import (
+    root_constraint,
+    rotation,
+    shear_constraint,
+    stiffnesses,
+    volume_constraint,
+)
 
 
 @njit
@@ -82,14 +88,22 @@ def project_pairs(
     """
     k1, k2 = stiffnesses(law)
     for c in prange((last - first + CHUNK - 1) // CHUNK):
-        for e in range(first + c * CHUNK, min(first + (c + 1) * CHUNK, last)):
-            F = deformation(e, 0, corners, gradients, dim, x)
+        begin, n = first + c * CHUNK, min(CHUNK, last - first - c * CHUNK)
+        scratch = make_scratch(dim)
+        for j in range(n):
+            put(j, deformation(begin + j, 0, corners, gradients, dim, x), scratch)
+        if not reverse:
+            rotate(n, scratch, law, dim)
+        for j in range(n):
+            e = begin + j
+            F = get(j, scratch, dim)
             K = mobility(e, corners, gradients, masks, dim, x)
             scale = h2 * volumes[e]
             M = combine(F, 0.0, F, 0.0)
             for turn in range(2):
                 if (turn == 0) != reverse:
-                    C, D = shear_constraint(F, law, epsilon)
+                    R = rotation(F) if reverse else rotation_of(j, F, scratch, law)
+                    C, D = shear_constraint(F, R, law, epsilon)
                     s, which = scale * k1, 0
                 else:
                     C, D = volume_constraint(F, law)
@@ -167,41 +181,72 @@ def project_blended(
     """
     k1, k2 = stiffnesses(law)
     for c in prange((last - first + CHUNK - 1) // CHUNK):
-        for e in range(first + c * CHUNK, min(first + (c + 1) * CHUNK, last)):
-            F = deformation(e, 0, corners, gradients, dim, x)
+        begin, n = first + c * CHUNK, min(CHUNK, last - first - c * CHUNK)
+        scratch = make_scratch(dim)
+        states = np.empty((3 * CHUNK, len(dim) * len(dim)))
+        for j in range(n):
+            put(j, deformation(begin + j, 0, corners, gradients, dim, x), scratch)
+        rotate(n, scratch, law, dim)
+        for j in range(n):
+            e = begin + j
+            F = get(j, scratch, dim)
             base = deformation(e, 4, corners, gradients, dim, x)
             K = mobility(e, corners, gradients, masks, dim, x)
-            scale, z = h2 * volumes[e], zeta[e]
             old = load(e, forces, dim)
-            C, D = shear_constraint(F, law, epsilon)
+            C, D = shear_constraint(F, rotation_of(j, F, scratch, law), law, epsilon)
             _, W = volume_constraint(F, law)
-            R = combine(base, 1.0, F, -1.0)
             held = combine(D, multipliers[e, 0], W, multipliers[e, 1])
-            # What of r is left of the change of S by this visit, as `left` w g; and of the r before it, `rest`.
+            # r = b - x as sum r g^T; `left` w g is what is left of the changes of S by this visit.
             left = combine(held, 1.0, old, -1.0)
-            R = combine(R, 1.0, times(left, K), 1.0)
-            rest = 1.0
-            for which in range(2):
-                s = scale * (k1 if which == 0 else k2)
-                if which == 1:
-                    _, E = shear_constraint(F, law, epsilon)
-                    C, D = volume_constraint(F, law)
-                    fresh = combine(E, multipliers[e, 0], D, multipliers[e, 1])
-                    change = combine(fresh, 1.0, held, -1.0)
-                    held = combine(held, 1.0, change, 1.0)
-                    left = combine(left, 1.0, change, 1.0)
-                    R = combine(R, 1.0, times(change, K), 1.0)
-                DK = times(D, K)
-                value = C + dot(D, R) if keep else C
-                step = _step_length(value, dot(D, DK), s, multipliers[e, which], False)
-                F = combine(combine(F, 1.0, DK, step), 1.0, R, 1.0 - z)
-                held = combine(held, 1.0, D, step)
-                multipliers[e, which] += step
-                R = combine(R, z, R, 0.0)
-                left = combine(left, z, left, 0.0)
-                rest *= z
-            change = combine(held, 1.0, old, -1.0)
-            # x becomes b - r: b has changed by w `change` g, and what is left of r by `rest` and `left`.
+            R = combine(combine(base, 1.0, F, -1.0), 1.0, times(left, K), 1.0)
+            s, which = h2 * volumes[e] * k1, 0
+            F, R, held, left = _blend(e, which, s, C, D, F, R, held, left, K, zeta[e], keep, multipliers)
+            put(j, F, scratch)
+            store(3 * j, R, states)
+            store(3 * j + 1, held, states)
+            store(3 * j + 2, left, states)
+        rotate(n, scratch, law, dim)
+        for j in range(n):
+            e = begin + j
+            F = get(j, scratch, dim)
+            K = mobility(e, corners, gradients, masks, dim, x)
+            R, held, left = load(3 * j, states, dim), load(3 * j + 1, states, dim), load(3 * j + 2, states, dim)
+            _, E = shear_constraint(F, rotation_of(j, F, scratch, law), law, epsilon)
+            C, D = volume_constraint(F, law)
+            change = combine(combine(E, multipliers[e, 0], D, multipliers[e, 1]), 1.0, held, -1.0)
+            held = combine(held, 1.0, change, 1.0)
+            left = combine(left, 1.0, change, 1.0)
+            R = combine(R, 1.0, times(change, K), 1.0)
+            s, which = h2 * volumes[e] * k2, 1
+            F, R, held, left = _blend(e, which, s, C, D, F, R, held, left, K, zeta[e], keep, multipliers)
+            change = combine(held, 1.0, load(e, forces, dim), -1.0)
+            # x becomes b - r: b changes by w `change` g, and zeta^2 of the former r is left beside `left`.
+            rest = zeta[e] * zeta[e]
             spread(e, 0, 1.0 - rest, combine(change, 1.0, left, -1.0), corners, gradients, masks, dim, x)
             spread(e, 4, 0.0, change, corners, gradients, masks, dim, x)
             store(e, held, forces)
+
+
+@njit
+def _blend(
+    e: Any,
+    which: Any,
+    s: Any,
+    C: Any,
+    D: Any,
+    F: Any,
+    R: Any,
+    held: Any,
+    left: Any,
+    K: Any,
+    z: Any,
+    keep: Any,
+    multipliers: Any,
+) -> Any:
+    """One blended step of a constraint: what F, r, the forces in S and the part of their change in r become."""
+    DK = times(D, K)
+    value = C + dot(D, R) if keep else C
+    step = _step_length(value, dot(D, DK), s, multipliers[e, which], False)
+    multipliers[e, which] += step
+    F = combine(combine(F, 1.0, DK, step), 1.0, R, 1.0 - z)
+    return F, combine(R, z, R, 0.0), combine(held, 1.0, D, step), combine(left, z, left, 0.0)

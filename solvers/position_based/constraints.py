@@ -41,7 +41,7 @@ PAIRED = (*ROTATED, NeoHookean)
 VANISHING = ROTATED
 
 # What the last relative correction of Halley's rule may be, its next being its cube; and how near to a jump of R.
-_CORRECTION, _JUMP = 1e-5, 1e3
+CORRECTION, JUMP = 1e-5, 1e3
 
 
 # ---------------------------------------------------------------------------------------- rotation
@@ -68,10 +68,10 @@ def _rotation_3d(F: Any) -> Any:
         bend = 12.0 * tt - 4.0 * square
         correction = 2.0 * value * slope / (2.0 * slope * slope - value * bend)
         t -= correction
-        if abs(correction) <= _CORRECTION * t:
+        if abs(correction) <= CORRECTION * t:
             break
     bottom = (t * t - square) * t - 2.0 * J
-    if not (abs(correction) <= _CORRECTION * t and t * t * t <= _JUMP * bottom):
+    if not (abs(correction) <= CORRECTION * t and t * t * t <= JUMP * bottom):
         return polar_rotation_3d(F)
     inverse = 1.0 / bottom
     a, b, c = (t * t + square) * inverse, 2.0 * t * inverse, -2.0 * inverse
@@ -107,20 +107,23 @@ def _rotation(F: Any) -> Any:
 # ---------------------------------------------------------------------------------------- constraints
 
 
-def shear_constraint(F: Any, law: Any, epsilon: Any) -> Any:
-    """C1 and its derivative with respect to F; no derivative where C1 has none (F = R with epsilon = 0)."""
+def shear_constraint(F: Any, R: Any, law: Any, epsilon: Any) -> Any:
+    """C1 and its derivative with respect to F; no derivative where C1 has none (F = R with epsilon = 0).
+
+    R is the rotation of F where the law knows one, else anything.
+    """
     raise NotImplementedError("compiled code only")
 
 
 @overload(shear_constraint)
-def _shear_constraint(F: Any, law: Any, epsilon: Any) -> Any:
-    def rotated(F: Any, law: Any, epsilon: Any) -> Any:
-        E = combine(F, 1.0, rotation(F), -1.0)
+def _shear_constraint(F: Any, R: Any, law: Any, epsilon: Any) -> Any:
+    def rotated(F: Any, R: Any, law: Any, epsilon: Any) -> Any:
+        E = combine(F, 1.0, R, -1.0)
         C = math.sqrt(dot(E, E) + epsilon)
         scale = 1.0 / C if C > 0.0 else 0.0
         return C, combine(E, scale, E, 0.0)
 
-    def neo_hookean(F: Any, law: Any, epsilon: Any) -> Any:
+    def neo_hookean(F: Any, R: Any, law: Any, epsilon: Any) -> Any:
         C = math.sqrt(dot(F, F))
         scale = 1.0 / C if C > 0.0 else 0.0
         return C, combine(F, scale, F, 0.0)
@@ -179,18 +182,18 @@ def root_constraint(F: Any, law: Any, epsilon: Any) -> Any:
 # ---------------------------------------------------------------------------------------- stress and its model
 
 
-def stress(F: Any, law: Any) -> Any:
-    """First Piola-Kirchhoff stress [Pa]; `pk1` with the faster rotation."""
+def stress(F: Any, R: Any, law: Any) -> Any:
+    """First Piola-Kirchhoff stress [Pa]; `pk1` with R already known where the law knows one, else anything."""
     raise NotImplementedError("compiled code only")
 
 
 @overload(stress)
-def _stress(F: Any, law: Any) -> Any:
-    def rotated(F: Any, law: Any) -> Any:
-        E = combine(F, 1.0, rotation(F), -1.0)
+def _stress(F: Any, R: Any, law: Any) -> Any:
+    def rotated(F: Any, R: Any, law: Any) -> Any:
+        E = combine(F, 1.0, R, -1.0)
         return combine(E, 2.0 * law.mu, cofactor(F), law.lmbda * (determinant(F) - 1.0))
 
-    def any_law(F: Any, law: Any) -> Any:
+    def any_law(F: Any, R: Any, law: Any) -> Any:
         return pk1(F, law)
 
     return rotated if law.instance_class in ROTATED else any_law

@@ -35,6 +35,7 @@ from solvers.position_based.cell_algebra import (
     store,
     times,
 )
+from solvers.position_based.chunk_rotations import CHUNK, get, make_scratch, put, rotate, rotation_of
 from solvers.position_based.constraints import stress, stress_model
 from solvers.position_based.obstacle_kernels import step_in_contact
 
@@ -149,22 +150,34 @@ def relax_cells(
     stresses : (n_cells, dim dim)
         P of each cell as it is in the base points [Pa].
     """
-    n = len(dim) * len(dim)
-    for c in prange((last - first + 63) // 64):
-        size = n if exact else 0
+    size = len(dim) * len(dim) if exact else 0
+    for c in prange((last - first + CHUNK - 1) // CHUNK):
+        begin, n = first + c * CHUNK, min(CHUNK, last - first - c * CHUNK)
         H, A, r = np.empty((size, size)), np.empty((size, size)), np.empty((2, size))
-        for e in range(first + 64 * c, min(first + 64 * (c + 1), last)):
+        scratch = make_scratch(dim)
+        states = np.zeros((3 * CHUNK, len(dim) * len(dim)))
+        parts = np.ones((CHUNK, 2))
+        for j in range(n):
+            e = begin + j
             s = h2 * volumes[e]
+            F = deformation(e, 0, corners, gradients, dim, x)
             held = load(e, stresses, dim)
             K = mobility(e, corners, gradients, masks, dim, x)
-            start = deformation(e, 0, corners, gradients, dim, x)
             B = combine(deformation(e, 4, corners, gradients, dim, x), 1.0, times(held, K), s)
-            F, part = start, 1.0
-            reached = combine(held, 0.0, held, 0.0)
-            Q = combine(start, 1.0, B, -1.0)
-            far = misfit(e, s, held, corners, gradients, masks, dim, x) if search else 0.0
-            for _ in range(local):
-                P = stress(F, law)
+            put(j, F, scratch)
+            store(3 * j, B, states)
+            if search:
+                store(3 * j + 2, combine(F, 1.0, B, -1.0), states)
+                parts[j, 1] = misfit(e, s, held, corners, gradients, masks, dim, x)
+        for _ in range(local):
+            rotate(n, scratch, law, dim)
+            for j in range(n):
+                e = begin + j
+                s = h2 * volumes[e]
+                F = get(j, scratch, dim)
+                K = mobility(e, corners, gradients, masks, dim, x)
+                B, reached = load(3 * j, states, dim), load(3 * j + 1, states, dim)
+                P = stress(F, rotation_of(j, F, scratch, law), law)
                 R = combine(combine(B, 1.0, F, -1.0), 1.0, times(P, K), -s)
                 if exact:
                     dF, ahead = exact_step(F, P, R, K, s, law, dim, H, A, r)
@@ -172,24 +185,39 @@ def relax_cells(
                     dF, ahead = model_step(F, P, R, K, s, law)
                 t = 1.0
                 if search:
-                    before, scale = _local_energy(part, reached, F, far, Q, K, s, law)
-                    for k in range(_HALVINGS + 1):
-                        if k == _HALVINGS:
-                            t = 0.0
-                            break
-                        tried = combine(reached, 1.0 - t, ahead, t)
-                        after, _ = _local_energy((1.0 - t) * part, tried, combine(F, 1.0, dF, t), far, Q, K, s, law)
-                        if after <= before + _ROUNDING * scale:
-                            break
-                        t *= 0.5
-                reached = combine(reached, 1.0 - t, ahead, t)
-                part *= 1.0 - t
-                F = combine(F, 1.0, dF, t)
-            P = stress(F, law)
+                    Q = load(3 * j + 2, states, dim)
+                    t = _admissible(parts[j, 0], reached, ahead, F, dF, parts[j, 1], Q, K, s, law)
+                parts[j, 0] *= 1.0 - t
+                store(3 * j + 1, combine(reached, 1.0 - t, ahead, t), states)
+                put(j, combine(F, 1.0, dF, t), scratch)
+        rotate(n, scratch, law, dim)
+        for j in range(n):
+            e = begin + j
+            s = h2 * volumes[e]
+            F = get(j, scratch, dim)
+            held, reached = load(e, stresses, dim), load(3 * j + 1, states, dim)
+            P = stress(F, rotation_of(j, F, scratch, law), law)
+            part = parts[j, 0]
             move = combine(held, s * (1.0 - part), reached, -s)
             spread(e, 0, 1.0 - part, move, corners, gradients, masks, dim, x)
             spread(e, 4, 0.0, combine(held, s, P, -s), corners, gradients, masks, dim, x)
             store(e, P, stresses)
+
+
+@njit
+def _admissible(
+    part: Any, reached: Any, ahead: Any, F: Any, dF: Any, far: Any, Q: Any, K: Any, s: Any, law: Any
+) -> Any:
+    """Largest of 1, 1/2, 1/4, ... of a step that does not raise the cell's energy; see `relax_cells`."""
+    before, scale = _local_energy(part, reached, F, far, Q, K, s, law)
+    t = 1.0
+    for _ in range(_HALVINGS):
+        tried = combine(reached, 1.0 - t, ahead, t)
+        after, _ = _local_energy((1.0 - t) * part, tried, combine(F, 1.0, dF, t), far, Q, K, s, law)
+        if after <= before + _ROUNDING * scale:
+            return t
+        t *= 0.5
+    return 0.0
 
 
 # ---------------------------------------------------------------------------------------- nodes

@@ -20,7 +20,7 @@ MU, LMBDA = 3.0, 7.0
 
 @njit
 def shear(F: Any, law: Any, epsilon: Any) -> Any:
-    return constraints.shear_constraint(F, law, epsilon)
+    return constraints.shear_constraint(F, constraints.rotation(F), law, epsilon)
 
 
 @njit
@@ -40,7 +40,7 @@ def root(F: Any, law: Any, epsilon: Any) -> Any:
 
 @njit
 def stress(F: Any, law: Any) -> Any:
-    return constraints.stress(F, law)
+    return constraints.stress(F, constraints.rotation(F), law)
 
 
 @njit
