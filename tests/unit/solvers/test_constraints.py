@@ -12,7 +12,7 @@ from scipy.linalg import svd
 from femdeform.jit import njit
 from femdeform.materials import LAWS, law_class
 from femdeform.materials.dispatch import energy_density, pk1, tangent
-from solvers.position_based import cell_algebra, constraints, piola_kernels
+from solvers.position_based import cell_algebra, chunk_rotations, constraints, piola_kernels
 
 Array = NDArray[np.float64]
 MU, LMBDA = 3.0, 7.0
@@ -46,6 +46,20 @@ def stress(F: Any, law: Any) -> Any:
 @njit
 def rotation(F: Any) -> Any:
     return constraints.rotation(F)
+
+
+@njit
+def chunk_of_rotations(Fs: Any, law: Any, dim: Any) -> Any:
+    """Rotations of up to `CHUNK` matrices, rows of Fs, by way of a chunk's scratch."""
+    scratch = chunk_rotations.make_scratch(dim)
+    for j in range(len(Fs)):
+        chunk_rotations.put(j, cell_algebra.load(j, Fs, dim), scratch)
+    chunk_rotations.rotate(len(Fs), scratch, law, dim)
+    out = np.empty_like(Fs)
+    for j in range(len(Fs)):
+        F = chunk_rotations.get(j, scratch, dim)
+        cell_algebra.store(j, chunk_rotations.rotation_of(j, F, scratch, law), out)
+    return out
 
 
 @njit
@@ -165,6 +179,26 @@ def test_rotation_is_the_closest_one(dim: int) -> None:
             np.testing.assert_allclose(
                 np.reshape(rotation(flat(F)), F.shape), closest_rotation(F), rtol=0.0, atol=4e-15 * s[0] / gap + 2e-13
             )
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rotations_of_a_chunk_are_those_of_its_cells(dim: int) -> None:
+    """Small strains, which the steps made for all settle, among large ones and mirrored cells, which they do not."""
+    rng = np.random.default_rng(2)
+    law = make("fixed_corotated", dim)
+    Fs = [closest_rotation(rng.standard_normal((dim, dim))) for _ in range(chunk_rotations.CHUNK - 3)]
+    Fs = [
+        Q @ (np.eye(dim) + a * rng.standard_normal((dim, dim))) for Q, a in zip(Fs, np.linspace(0, 2, 61), strict=True)
+    ]
+    Fs.append(Fs[0] @ np.diag([50.0, 1.0, 0.5][:dim]))
+    Fs.append(Fs[0] @ np.diag([*[1.0, 0.8][: dim - 1], -0.3]))
+    given = np.array([F.ravel() for F in Fs])
+    for F, R in zip(Fs, chunk_of_rotations(given, law, (0,) * dim), strict=True):
+        s = np.linalg.svd(F, compute_uv=False)
+        gap = s[-2] + np.sign(np.linalg.det(F)) * s[-1]
+        if gap > 1e-3 * s[0]:
+            np.testing.assert_allclose(np.reshape(R, F.shape), closest_rotation(F), atol=4e-15 * s[0] / gap + 2e-13)
+            np.testing.assert_allclose(R, rotation(flat(F)), rtol=0.0, atol=4e-15 * s[0] / gap + 2e-13)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
