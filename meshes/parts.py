@@ -54,7 +54,9 @@ def fault(name: str, message: str) -> MeshError:
     return MeshError([Fault(name, 0, "", message)])
 
 
-def assemble(parts: MeshParts, name: str, wanted: Wanted | None = None, drop_unreferenced: bool = False) -> Mesh:
+def assemble(
+    parts: MeshParts, name: str, wanted: Wanted | None = None, drop_unreferenced: bool = False
+) -> Mesh:
     """Build the mesh of one kind of cells, with its boundary and its named groups.
 
     A named part of the cells' own kind becomes a cell group; one of their facets becomes a facet group as far

@@ -47,7 +47,6 @@ ITERATION_COLUMNS = (
     "seconds",
 )
 
-
 class Recorder:
     """Writes one result folder.
 

@@ -156,4 +156,6 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
     solver = registry.resolve(registry.SOLVERS[scene.solver.method])(scene.solver, linear_solver)
     velocity = np.zeros_like(discretization.points) if quasistatic else conditions.initial_velocity.copy()
     state = State(discretization.points.copy(), velocity)
-    return Simulation(scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices)
+    return Simulation(
+        scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices
+    )

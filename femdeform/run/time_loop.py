@@ -143,3 +143,5 @@ def _failure_text(state: State, dt: float, result: StepResult, control: StepCont
 def default_min_dt(dt: float, min_dt: float | None) -> float:
     """Smallest step of a scene that gives none: six halvings."""
     return dt / 64.0 if min_dt is None else min_dt
+
+

@@ -22,7 +22,9 @@ def block(n: tuple[int, int, int], size: tuple[float, float, float]) -> tuple[np
     axes = [np.linspace(0.0, s, k + 1) for s, k in zip(size, n, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     number = np.arange(len(points)).reshape([k + 1 for k in n])
-    corners = [number[a : n[0] + a, b : n[1] + b, c : n[2] + c].ravel() for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+    corners = [
+        number[a : n[0] + a, b : n[1] + b, c : n[2] + c].ravel() for a in (0, 1) for b in (0, 1) for c in (0, 1)
+    ]
     return points, np.concatenate([np.stack([corners[k] for k in cell], axis=1) for cell in _CUBE])
 
 
