@@ -16,6 +16,11 @@ SOLVERS: dict[str, str] = {
     "projected_newton": "solvers.projected_newton:ProjectedNewton",
     "mixed_fem": "solvers.mixed_variational:MixedVariational",
     "pbng": "solvers.pbng:PBNG",
+    "xpbd": "solvers.xpbd:XPBD",
+    "pbd": "solvers.xpbd:PBD",
+    "xpbd_qs": "solvers.xpbd:XPBDQuasistatic",
+    "b_pxpbd": "solvers.pxpbd:BlendedPXPBD",
+    "fp_pxpbd": "solvers.pxpbd:FirstPiolaPXPBD",
 }
 
 LINEAR_SOLVERS: dict[str, str] = {

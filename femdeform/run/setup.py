@@ -18,6 +18,7 @@ from femdeform.materials import law_for, supports_codimension
 from femdeform.run.contacts import make_contacts
 from femdeform.run.links import make_links
 from femdeform.scene import schema
+from femdeform.scene.constraint_schema import CELL_SWEEPS
 from femdeform.scene.position_schema import PBNGSolver
 from femdeform.step_problem import StepSolver
 from femdeform.types import IntArray, Mesh
@@ -142,8 +143,11 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
     cell_rank = None
     if comm is not None:
         cell_rank = registry.resolve(registry.PARTITIONER)(meshes, comm)
-    if ranks > 1 and isinstance(scene.solver, PBNGSolver):
-        raise InputError("solver.method: pbng runs on one rank, with threads (docs/methods/pbng.md)")
+    if ranks > 1 and isinstance(scene.solver, (PBNGSolver, *CELL_SWEEPS)):
+        page = "pbng" if isinstance(scene.solver, PBNGSolver) else "xpbd"
+        raise InputError(
+            f"solver.method: {scene.solver.method} runs on one rank, with threads (docs/methods/{page}.md)"
+        )
     rows = make_links(scene, meshes, notices)
     discretization = discretize(bodies, cell_rank, comm, None if rows is None else rows.coupled())
     conditions = Conditions(scene, meshes, discretization)

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from femdeform import registry
+from femdeform.scene.constraint_schema import BPXPBDSolver, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.link_schema import Link
 from femdeform.scene.mesh_schema import MeshSource
@@ -386,7 +387,17 @@ class ProjectedNewtonSolver(SceneModel):
 
 
 Solver = Annotated[
-    Annotated[ProjectedNewtonSolver | MixedFEMSolver | PBNGSolver, Field(discriminator="method")],
+    Annotated[
+        ProjectedNewtonSolver
+        | MixedFEMSolver
+        | PBNGSolver
+        | XPBDSolver
+        | PBDSolver
+        | XPBDQSSolver
+        | BPXPBDSolver
+        | FPPXPBDSolver,
+        Field(discriminator="method"),
+    ],
     BeforeValidator(default_tag("method", "projected_newton")),
 ]
 

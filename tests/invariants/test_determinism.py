@@ -88,3 +88,35 @@ def test_threads_do_not_change_a_bit_of_a_sweep(
     np.testing.assert_array_equal(a.x, b.x)
     np.testing.assert_array_equal(a.v, b.v)
     assert np.abs(a.x).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("law", "solver"),
+    [
+        ("fixed_corotated", {"method": "xpbd", "iterations": 10}),
+        ("neo_hookean", {"method": "b_pxpbd", "iterations": 10}),
+        ("fixed_corotated", {"method": "fp_pxpbd", "iterations": 10}),
+        ("stable_neo_hookean", {"method": "fp_pxpbd", "iterations": 10, "tangent": "exact"}),
+    ],
+)
+def test_threads_do_not_change_a_bit_of_a_sweep_over_cells(
+    law: str, solver: dict[str, Any], cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    """Several pieces a colour, with obstacles, rollers and a moving support."""
+    data = scene(
+        {"b": body(block([1, 1, 1], [9, 9, 9]), material(law, E=2e4))},
+        {"kind": "translate", "on": "b.top", "velocity": [1.0, 0.0, 0.0]},
+        {"kind": "fixed", "on": "b.left", "components": ["z"]},
+        gravity=[0.0, -9.81, 0.0],
+        obstacles=[{"kind": "plane", "point": [0, 0.05, 0], "normal": [0, 1, 0], "friction": 0.3}],
+        time={"scheme": "backward_euler", "dt": 0.01, "end": 0.02},
+        solver=solver,
+    )
+    write(data, tmp_path / "scene.yaml")
+    for n in (1, 2):
+        done = cli("run", "scene.yaml", "--out", f"threads-{n}", "--threads", n)
+        assert done.returncode == 0, done.stderr
+    a, b = (checkpoints.read_checkpoint(tmp_path / f"threads-{n}") for n in (1, 2))
+    np.testing.assert_array_equal(a.x, b.x)
+    np.testing.assert_array_equal(a.v, b.v)
+    assert np.abs(a.x).max() > 1.0
