@@ -181,6 +181,7 @@ class LocalStepProblem(StepProblem, Protocol):
     """A step problem that also shows its parts, for methods that move a node or a cell at a time."""
 
     points: FloatArray  # (n_local, dim) reference positions [m]
+    links: Any  # weak constraints between nodes (`femdeform.contact.weak_constraints.WeakConstraints`), or None
     lumped_mass: FloatArray  # (n_local,) [kg]
 
     def local_cells(self) -> Sequence[LocalCells]:

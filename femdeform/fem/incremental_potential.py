@@ -422,8 +422,6 @@ class IncrementalPotential:
             raise InputError("solver.method: a sweep over the nodes runs on one rank, with threads")
         if self.couplings or self._barriers:
             raise InputError("contact: a sweep over the nodes knows obstacles by `method: penalty` only")
-        if self.links is not None:
-            raise InputError("links: a sweep over the nodes does not know them; use `method: projected_newton`")
         if not self.quasistatic and self.discretization.consistent_mass is not None:
             raise InputError("bodies: a sweep over the nodes needs `mass: lumped`")
         by_law: dict[tuple[type, object], list[LocalCells]] = {}
