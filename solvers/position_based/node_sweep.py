@@ -43,7 +43,7 @@ class NodeSweep:
 
     def __init__(self, problem: LocalStepProblem, dtype: Any = np.float64) -> None:
         self.dtype = np.dtype(dtype)
-        groups = list(problem.local_cells())
+        groups = list(problem.local_cells(knows_links=True))
         self.n_nodes, self.dim = problem.points.shape
         links: WeakConstraints | None = problem.links
         stiff = np.zeros(self.n_nodes, dtype=bool)

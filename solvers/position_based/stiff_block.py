@@ -37,7 +37,8 @@ def stiff_nodes(groups: Sequence[LocalCells], links: WeakConstraints, n_nodes: i
     """Which nodes belong to rows that single nodes cannot solve.
 
     Those are rows of which two nodes or more have rows stiffer than their cells: moving together costs little, but
-    none of them can by itself. A stiff spring with a length needs only one, since it lets its end swing.
+    none of them can by itself. A stiff spring with a length needs only one, since it lets its end swing. Inertia is
+    left out: it may change from step to step.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def stiff_nodes(groups: Sequence[LocalCells], links: WeakConstraints, n_nodes: i
     row = np.repeat(np.arange(rows.n_rows), np.diff(rows.offsets))
     pull = np.maximum(rows.normal, rows.tangential)[row] * rows.weights**2
     held = np.bincount(rows.nodes, pull, minlength=n_nodes) > _STIFF * own
-    # A node far away in weight does not make its row stiff.
+    # A node that other rows hold and that hardly weighs in this one does not make it stiff.
     counts = np.bincount(row, held[rows.nodes] & (pull > 1e-3 * _STIFF * own[rows.nodes]), minlength=rows.n_rows)
     is_stiff = (counts >= 2) | ((counts >= 1) & (rows.length > 0.0))
     chosen = np.zeros(n_nodes, dtype=bool)
@@ -168,9 +169,11 @@ class StiffBlock:
         if self._factor is None or not np.allclose(touching, self._touching, rtol=0.1, atol=0.0):
             self._factor, self._touching = self._factorised(touching), touching
         slope = slope[self._free]
+        if self._factor is None or not np.isfinite(slope).all():
+            return
         step = np.zeros_like(here)
         step[self._free] = self._factor.solve(slope)
-        work = float(slope @ step[self._free])
+        work = float(np.sum(slope * step[self._free]))
         if not work > 0.0:
             return
         before, size = self._energy(x)
@@ -202,10 +205,10 @@ class StiffBlock:
     def _nodal_difference(self, here: FloatArray, step: FloatArray, loads: FloatArray) -> float:
         """What a step changes in the energies of inertia and loads [J]."""
         pull = self._weights[:, None] * (here + 0.5 * step - self._centers) - loads
-        return float(np.vdot(pull, step))
+        return float(np.sum(pull * step))
 
     def _factorised(self, touching: FloatArray) -> Any:
-        """Factors of the matrix at the present positions."""
+        """Factors of the matrix at the present positions; None where it has none: a law may not be defined there."""
         n, d = len(self._nodes), self.dim
         own = np.zeros(self._size)
         matrix = scipy.sparse.csc_matrix((self._size, self._size))
@@ -224,13 +227,16 @@ class StiffBlock:
         shape = (self._size, self._size)
         matrix = matrix + scipy.sparse.csc_matrix((local.ravel()[kept], (rows[kept], columns[kept])), shape=shape)
         shift = _SHIFT * np.maximum(own, own.mean())
+        matrix = (matrix + scipy.sparse.diags(shift)).tocsc()
+        if not np.isfinite(matrix.data).all():
+            return None
         # Symmetric and definite: the order that keeps it sparse may be kept, pivots are not needed.
-        return scipy.sparse.linalg.splu(
-            (matrix + scipy.sparse.diags(shift)).tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        try:
+            return scipy.sparse.linalg.splu(
+                matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+        except RuntimeError:  # singular: the block waits for what is around it
+            return None
 
 
 class _Entries:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scenario import block, body, build, material, quasistatic, random_state, scene
 
+from femdeform.errors import InputError
 from femdeform.jit import set_threads
 from femdeform.materials import LAWS
 from femdeform.run.setup import Simulation
@@ -253,7 +254,7 @@ def test_nodes_of_a_row_have_different_colors(stiffness: float) -> None:
             assert (own == sweep.n_colors - 1).all()
         else:
             assert np.unique(own).size == own.size
-    for group in simulation.problem.local_cells():
+    for group in simulation.problem.local_cells(knows_links=True):
         own = colors[group.cells]
         own = np.where(own >= sweep.n_colors - (stiffness > 1e5), -1 - np.arange(4), own)
         assert all(np.unique(cell).size == 4 for cell in own)
@@ -289,3 +290,11 @@ def test_energy_never_rises_in_a_plain_sweep(law: str, dim: int, stiffness: floa
             after = problem.value(x)
             assert after <= value + 1e-11 * problem.value_magnitude
             value = after
+
+
+def test_methods_that_do_not_know_links_are_refused() -> None:
+    """Whoever sweeps over cells or nodes without saying that it minimises links too would leave them out."""
+    problem = build(two_bars("neo_hookean", 2, 100.0)).problem
+    with pytest.raises(InputError, match="links: this method does not know them"):
+        problem.local_cells()
+    assert len(problem.local_cells(knows_links=True)) == 1
