@@ -181,10 +181,16 @@ class LocalStepProblem(StepProblem, Protocol):
     """A step problem that also shows its parts, for methods that move a node or a cell at a time."""
 
     points: FloatArray  # (n_local, dim) reference positions [m]
+    links: Any  # weak constraints between nodes (`femdeform.contact.weak_constraints.WeakConstraints`), or None
     lumped_mass: FloatArray  # (n_local,) [kg]
 
-    def local_cells(self) -> Sequence[LocalCells]:
+    def local_cells(self, knows_links: bool = False) -> Sequence[LocalCells]:
         """Cells of all bodies, one entry per law with its parameters.
+
+        Parameters
+        ----------
+        knows_links : bool
+            Whether the method minimises the energies of `links` too; else a scene with links is refused.
 
         Raises
         ------

@@ -416,14 +416,14 @@ class IncrementalPotential:
         """Nodal masses (n_local,) [kg]."""
         return self.discretization.lumped_mass
 
-    def local_cells(self) -> list[LocalCells]:
+    def local_cells(self, knows_links: bool = False) -> list[LocalCells]:
         """See `LocalStepProblem`: the cells of all bodies, merged by law."""
+        if self.links is not None and not knows_links:
+            raise InputError("links: this method does not know them; use projected_newton, mixed_fem or pbng")
         if self.partition.n_owned < self.partition.n_global:
             raise InputError("solver.method: a sweep over the nodes runs on one rank, with threads")
         if self.couplings or self._barriers:
             raise InputError("contact: a sweep over the nodes knows obstacles by `method: penalty` only")
-        if self.links is not None:
-            raise InputError("links: a sweep over the nodes does not know them; use `method: projected_newton`")
         if not self.quasistatic and self.discretization.consistent_mass is not None:
             raise InputError("bodies: a sweep over the nodes needs `mass: lumped`")
         by_law: dict[tuple[type, object], list[LocalCells]] = {}

@@ -3,36 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
+from femdeform.contact.weak_constraints import WeakConstraints
 from femdeform.materials.arap import ARAP
 from femdeform.materials.fixed_corotated import FixedCorotated
 from femdeform.materials.neo_hookean import NeoHookean
 from femdeform.step_problem import LocalCells, LocalStepProblem
-from femdeform.types import FloatArray, IntArray
-from solvers.coloring import color, incidence
-from solvers.position_based import fast_kernels, layout, move_kernels, node_kernels
+from femdeform.types import BoolArray, FloatArray, IntArray
+from solvers.coloring import color, incidence, recolor
+from solvers.position_based import fast_kernels, layout, move_kernels, node_kernels, row_kernels
 from solvers.position_based.nodal_blocks import is_bounded
 from solvers.position_based.obstacle_kernels import ObstacleData, collect
+from solvers.position_based.stiff_block import StiffBlock, stiff_nodes
 
 _CellData = tuple[layout.Indices, FloatArray, FloatArray, Any, tuple[int, ...]]
 
 # Halvings of a step after which a node waits for its neighbours.
 _HALVINGS = 30
-
-
-class NodeTerm(Protocol):
-    """A further energy that couples nodes, such as springs between pairs of points."""
-
-    couples: np.ndarray[Any, Any]  # (n, k) local nodes that must not move at the same time
-
-    def lay_out(self, numbering: layout.Numbering, dtype: Any) -> None:
-        """Prepare for sweeps in this order and precision."""
-
-    def add(self, color: int, x: FloatArray, acc: FloatArray) -> None:
-        """Add forces and matrices of the nodes of one colour to the accumulator; see `node_kernels`."""
 
 
 class NodeSweep:
@@ -43,30 +33,38 @@ class NodeSweep:
     problem : LocalStepProblem
     dtype : numpy type
         float64 or float32.
-    terms : sequence of NodeTerm
-        Energies beyond those of the cells, the loads and the obstacles.
 
     Attributes
     ----------
     numbering : layout.Numbering
-        Order of the nodes; positions given to `sweep` are flat, in this order, three components a node.
+        Order of the nodes; positions given to `sweep` are flat, in this order, three components a node. Nodes that
+        stiff weak constraints couple are the last colour; they move as one block.
     """
 
-    def __init__(self, problem: LocalStepProblem, dtype: Any = np.float64, terms: Sequence[NodeTerm] = ()) -> None:
+    def __init__(self, problem: LocalStepProblem, dtype: Any = np.float64) -> None:
         self.dtype = np.dtype(dtype)
-        groups = list(problem.local_cells())
+        groups = list(problem.local_cells(knows_links=True))
         self.n_nodes, self.dim = problem.points.shape
-        sets = [group.cells for group in groups] + [term.couples for term in terms]
-        colors = color(incidence(sets, self.n_nodes))
+        links: WeakConstraints | None = problem.links
+        stiff = np.zeros(self.n_nodes, dtype=bool)
+        if links is not None:
+            stiff = stiff_nodes(groups, links, self.n_nodes)
+        colors = _colors(groups, links, stiff)
         # A node without cells has no stiffness to divide by.
         used = np.zeros(self.n_nodes, dtype=bool)
         for group in groups:
             used[group.cells] = True
         self.numbering = layout.number_nodes(problem.points, colors, problem.free.any(axis=1) & used)
         self._parts = [_law_cells(group, self.numbering, self.dtype) for group in groups]
-        self._terms = list(terms)
-        for term in self._terms:
-            term.lay_out(self.numbering, self.dtype)
+        offsets, place = self.numbering.color_offsets, self.numbering.place
+        self._links = links
+        self._rows: row_kernels.RowData | None = None
+        self._block: StiffBlock | None = None
+        if links is not None:
+            self._rows = row_kernels.lay_out(links, place, int(offsets[-1]), self.dtype)
+            self._row_cuts = np.searchsorted(self._rows.nodes, offsets)
+            if (place[stiff] < offsets[-1]).any():
+                self._block = StiffBlock(problem, groups, links, place, int(offsets[-2]), int(offsets[-1]))
         n = self.n_nodes
         free = np.zeros((n, 3), dtype=np.uint8)
         free[:, : self.dim] = problem.free[self.numbering.order]
@@ -101,12 +99,18 @@ class NodeSweep:
         self._write(self._loads, self._load)
         contacts = problem.node_contacts()
         self._obstacles = collect(contacts, self.numbering.place, self.dim) if contacts else None
+        if self._links is not None and self._rows is not None:
+            self._rows.begin_step(self._links)
+        if self._block is not None:
+            self._block.begin_step(problem)
 
     def update_loads(self, problem: LocalStepProblem, x: FloatArray) -> None:
-        """Evaluate forces that follow the positions x (n_nodes, dim), where there are any."""
+        """Evaluate forces that follow the positions x (n_nodes, dim), where there are any; renew what lags behind."""
         follower = problem.follower_forces(x)
         if follower is not None:
             self._write(self._loads, self._load + follower)
+        if self._block is not None:
+            self._block.renew()
 
     def flat(self, x: FloatArray) -> FloatArray:
         """Positions (n_nodes, dim) in the order, the precision and the width of the sweep."""
@@ -139,8 +143,11 @@ class NodeSweep:
             first, last = int(offsets[c]), int(offsets[c + 1])
             for part in self._parts:
                 part.add(c, x, self._acc)
-            for term in self._terms:
-                term.add(c, x, self._acc)
+            if self._rows is not None:
+                self._add_rows(c, x)
+            if self._block is not None and first == self._block.first:
+                self._move_block(x)
+                continue
             self._find_steps(first, last, factor, at_once, x)
             if at_once:
                 continue
@@ -148,6 +155,35 @@ class NodeSweep:
                 if not part.is_bounded:
                     part.shorten(c, x, self._steps, self._taken)
             move_kernels.take_steps(first, last, self._taken, self._steps, x)
+
+    def _add_rows(self, color: int, x: FloatArray) -> None:
+        rows = self._rows
+        assert rows is not None
+        row_kernels.add_rows(
+            int(self._row_cuts[color]),
+            int(self._row_cuts[color + 1]),
+            rows.nodes,
+            rows.node_offsets,
+            rows.node_rows,
+            rows.node_weights,
+            rows.row_offsets,
+            rows.row_places,
+            rows.row_weights,
+            rows.lengths,
+            rows.stiffness,
+            rows.targets,
+            x,
+            self._acc,
+        )
+
+    def _move_block(self, x: FloatArray) -> None:
+        """Move the nodes of stiff rows by what has been summed for them."""
+        block = self._block
+        assert block is not None
+        acc = self._acc.reshape(-1, 9)[block.first : block.last]
+        loads = self._loads.reshape(-1, 3)[block.first : block.last, : self.dim]
+        block.move(x, acc[:, : self.dim].astype(np.float64), loads.astype(np.float64))
+        acc[:] = 0.0
 
     def _find_steps(self, first: int, last: int, factor: Any, at_once: bool, x: FloatArray) -> None:
         nodal = (self._weights, self._centers, self._loads, self._free, factor)
@@ -172,6 +208,27 @@ class NodeSweep:
             self._acc,
             self._steps,
         )
+
+
+def _colors(groups: Sequence[LocalCells], links: WeakConstraints | None, stiff: BoolArray) -> IntArray:
+    """Colours of nodes by cells, mended where rows couple further ones; nodes of stiff rows are a colour of their own.
+
+    Returns
+    -------
+    (n_nodes,) int64
+    """
+    n = stiff.size
+    cells = [group.cells for group in groups]
+    colors = color(incidence(cells, n))
+    if links is None:
+        return colors
+    coupled = [term.cells for term in links.terms]
+    # What moves as a block moves at no other time.
+    lonely = [part[~stiff[part].all(axis=1)] for part in coupled]
+    touched = np.unique(np.concatenate([np.empty(0, np.int64), *(part.ravel() for part in lonely)]))
+    colors = recolor(incidence([*cells, *lonely], n), colors, touched)
+    colors[stiff] = int(colors.max()) + 1
+    return colors
 
 
 class _LawCells:

@@ -244,17 +244,6 @@ def test_what_sweeps_do_not_know_is_refused(change: dict[str, Any], complaint: s
         NodeSweep(simulation.problem)
 
 
-def test_links_are_not_left_out() -> None:
-    """A solver that does not know them has to say so."""
-    end = {"at": [1.0, 0.5], "body": "b"}
-    link = {"kind": "spring", "ends": [end, {"at": [1.5, 0.5], "fixed": True}], "stiffness": 100.0}
-    simulation = build(
-        scene({"b": body(block([1.0, 0.5], [2, 1]))}, links={"s": link}, solver={"method": "pbng"}, time=quasistatic())
-    )
-    with pytest.raises(InputError, match="links: a sweep over the nodes does not know them"):
-        take(simulation)
-
-
 def test_reset_and_destroy_leave_the_next_step_alone() -> None:
     simulation = reference_bar("neo_hookean", 1e4)
     first, _, _ = take(simulation)
