@@ -105,9 +105,10 @@ def sweep(case: dict[str, Any]) -> dict[str, Any]:
         neighbours; ``flops``. Sizes, colours, seconds of set-up, peak of memory [bytes].
     """
     # Kernels are compiled, or loaded from the disk, before anything is timed.
-    NodeSweep(block(2, case["law"], "stretch", {"method": "pbng"}, None).problem)
+    small: Any = block(2, case["law"], "stretch", {"method": "pbng"}, None).problem
+    NodeSweep(small)
     simulation = block(case["cells"], case["law"], "stretch", {"method": "pbng"}, None)
-    problem = simulation.problem
+    problem: Any = simulation.problem
     mesh_memory = peak_memory()
     start = time.perf_counter()
     nodes = NodeSweep(problem, np.dtype(case["precision"]))
@@ -192,7 +193,8 @@ def convergence(case: dict[str, Any]) -> dict[str, Any]:
         one counts: patterns and layouts exist then, as after the first step of a run.
     """
     simulation = block(case["cells"], case["law"], case["problem"], case["solver"], case["linear_solver"])
-    problem, solver = simulation.problem, simulation.solver
+    problem: Any = simulation.problem
+    solver = simulation.solver
     method = simulation.linear_solver.name
     if case["linear_solver"] is not None and case["linear_solver"].get("preset", method) not in method:
         return {"skipped": "; ".join(simulation.notices)}
@@ -297,8 +299,9 @@ def dump(case: dict[str, Any]) -> dict[str, Any]:
 
 def _sweep_times(simulation: Simulation, precision: str) -> dict[str, float]:
     """Seconds of single sweeps from the present state."""
-    nodes = NodeSweep(simulation.problem, np.dtype(precision))
-    nodes.begin_step(simulation.problem)
+    problem: Any = simulation.problem
+    nodes = NodeSweep(problem, np.dtype(precision))
+    nodes.begin_step(problem)
     flat = nodes.flat(simulation.state.x)
     return measure(lambda: nodes.sweep(flat), _SWEEPS)
 
