@@ -46,7 +46,8 @@ class PBNG:
 
     Limitations
     -----------
-    The first digits come fast, the last ones slowly without a `finish`: the number of sweeps to a tolerance grows with the square of the
+    The first digits come fast, the last ones slowly unless there is a `finish`:
+    the number of sweeps to a tolerance grows with the square of the
     number of cells across a body, and with h^2 E / (rho dx^2) in dynamics. Linear triangles and tetrahedra with lumped
     mass; obstacles by penalty; one rank. Forces of pressure are those of the last check, so convergence under large
     pressure is slower.
