@@ -73,6 +73,35 @@ class _Direction:
     reason: str
 
 
+@dataclass(frozen=True)
+class Advance:
+    """What an iteration came to.
+
+    Attributes
+    ----------
+    found : Iterate or None
+        The next iterate; None if no matrix gave a usable direction and an admissible length.
+    value : float
+        Phi where the iteration began [J].
+    length : float
+        Part of the direction that was taken.
+    matrix : Matrix
+        The last that was tried, the one taken if something was found.
+    iterations, all_iterations : int
+        Linear iterations with that matrix, and with all that were tried.
+    reason : str
+        Why nothing was found.
+    """
+
+    found: Iterate | None
+    value: float
+    length: float
+    matrix: Matrix
+    iterations: int
+    all_iterations: int
+    reason: str
+
+
 class Descent:
     """The loop: direction from a rule's matrix, Armijo's line search on Phi, one test of the residual.
 
@@ -148,28 +177,35 @@ class Descent:
             if iteration >= self.max_iterations:
                 return result(False, f"no convergence in {iteration} iterations")
 
-            problem.linearize_at(current.x)
-            value, magnitude = problem.value(current.x), problem.value_magnitude
             settled = previous_length == 1.0 and current.norm < _SETTLED * previous_norm
-            length, found, direction = 0.0, None, None
-            for matrix in self.rule.attempts(settled):
-                direction = self._direction(problem, current, matrix)
-                linear_iterations += direction.iterations
-                if not direction.usable:
-                    continue
-                length, found = self._line_search(problem, current, direction, value, magnitude)
-                if found is not None:
-                    break
-            assert direction is not None
-            if found is None:
+            advance = self.advance(problem, current, self.rule.attempts(settled))
+            linear_iterations += advance.all_iterations
+            if advance.found is None:
                 if is_rounding(problem, current, first.x, 10.0):
                     return result(True, "residual at the level of rounding")
-                return result(False, "the line search failed" if direction.usable else direction.reason)
+                return result(False, advance.reason)
 
-            previous_norm, previous_length = current.norm, length
-            current = found
+            previous_norm, previous_length = current.norm, advance.length
+            current = advance.found
             iteration += 1
-            report(value, length, direction.iterations, direction.matrix)
+            report(advance.value, advance.length, advance.iterations, advance.matrix)
+
+    def advance(self, problem: StepProblem, current: Iterate, matrices: Sequence[Matrix]) -> Advance:
+        """One iteration: the first of the matrices whose direction descends, and a line search along it."""
+        problem.linearize_at(current.x)
+        value, magnitude = problem.value(current.x), problem.value_magnitude
+        total = 0
+        for matrix in matrices:
+            direction = self._direction(problem, current, matrix)
+            total += direction.iterations
+            length, found, reason = 0.0, None, direction.reason
+            if direction.usable:
+                length, found = self._line_search(problem, current, direction, value, magnitude)
+                reason = "" if found is not None else "the line search failed"
+            answer = Advance(found, value, length, matrix, direction.iterations, total, reason)
+            if found is not None:
+                break
+        return answer
 
     def _evaluate(self, problem: StepProblem, x: FloatArray) -> Iterate:
         residual = problem.gradient(x)

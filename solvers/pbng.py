@@ -11,8 +11,9 @@ from femdeform.scene.position_schema import PBNGSolver
 from femdeform.step_problem import Budget, IterationObserver, LocalStepProblem, StepResult
 from femdeform.types import FloatArray
 from solvers.acceleration import SOR, Accelerator, Anderson, Chebyshev
-from solvers.descent import Iterate, is_rounding, ratio
+from solvers.descent import Advance, Iterate, is_rounding, ratio
 from solvers.linear.interface import LinearSolver
+from solvers.newton_finish import NewtonFinish
 from solvers.position_based.node_sweep import NodeSweep
 
 # Times an acceleration may be taken back before it is switched off for the step.
@@ -37,7 +38,7 @@ class PBNG:
     options : PBNGSolver
         The scene's block.
     linear_solver : LinearSolver
-        Not used.
+        For `finish: newton_krylov` only.
 
     References
     ----------
@@ -45,7 +46,8 @@ class PBNG:
 
     Limitations
     -----------
-    The first digits come fast, the last ones slowly: the number of sweeps to a tolerance grows with the square of the
+    The first digits come fast, the last ones slowly unless there is a `finish`:
+    the number of sweeps to a tolerance grows with the square of the
     number of cells across a body, and with h^2 E / (rho dx^2) in dynamics. Linear triangles and tetrahedra with lumped
     mass; obstacles by penalty; one rank. Forces of pressure are those of the last check, so convergence under large
     pressure is slower.
@@ -53,6 +55,11 @@ class PBNG:
 
     def __init__(self, options: PBNGSolver, linear_solver: LinearSolver | None = None) -> None:
         self.options = options
+        self.finish: NewtonFinish | None = None
+        if options.finish == "newton_krylov":
+            if linear_solver is None:
+                raise ValueError("finish: newton_krylov needs a linear solver")
+            self.finish = NewtonFinish(linear_solver)
         self._sweeps: dict[str, NodeSweep] = {}
         self._problem: LocalStepProblem | None = None
 
@@ -115,8 +122,12 @@ class _Step:
         self.precision = self.options.precision
         self.sweep = solver.sweep_of(problem, self.precision)
         self.accelerator = make_accelerator(self.options)
+        self.finish = solver.finish
+        if self.finish is not None:
+            self.finish.begin_step()
         self.strikes, self.waiting = 0, 0
         self.iteration = 0
+        self.was_newton = False
         self.x = state.x
         self.flat = np.empty(0)
         self.norm = math.inf
@@ -152,6 +163,13 @@ class _Step:
             spent = self.budget.spent(self.iteration)
             if spent is not None:
                 return self._result(False, spent)
+            newton = self._newton_step(residual)
+            if newton is not None and newton.found is not None:
+                residual, value = self._look(), self._value()
+                stalled = stalled + 1 if self.norm > 0.99 * best else 0
+                best = min(best, self.norm)
+                self._report(value, False, True, newton.all_iterations)
+                continue
 
             saved, saved_norm = self.flat.copy(), self.norm
             accelerated = self._sweeps(limit)
@@ -174,6 +192,7 @@ class _Step:
 
     def _sweeps(self, limit: int) -> bool:
         """Sweeps up to the next look; whether they were accelerated."""
+        self.was_newton = False
         end = min(self.iteration + self.options.check_every, limit)
         if self.budget.iterations is not None:
             end = min(end, self.budget.iterations)
@@ -189,6 +208,24 @@ class _Step:
             if self.budget.seconds is not None and self.budget.spent(self.iteration) is not None:
                 break
         return accelerated
+
+    def _newton_step(self, residual: FloatArray) -> Advance | None:
+        """A Newton step from the present positions, in turn with sweeps; None where none is due."""
+        finish = self.finish
+        if finish is None or finish.is_given_up or self.was_newton:
+            return None
+        if not self.norm <= self.options.finish_below * self.problem.force_scale:
+            return None
+        if self.precision == "float32":
+            self._refine(self.flat)
+        answer = finish.advance(self.problem, self.x, residual)
+        if answer.found is not None:
+            self.flat = self.sweep.flat(answer.found.x)
+            self.iteration += 1
+            self.was_newton = True
+            if self.accelerator is not None:
+                self.accelerator.restart()
+        return answer
 
     def _is_worse(self, before: float, after: float, norm: float) -> bool:
         """Whether accelerated sweeps raised the energy, or the residual where the energy is flat."""
@@ -265,7 +302,7 @@ class _Step:
             self.problem.hessian(self.x, project=True)  # the size of its rows tells how much rounding leaves
         return is_rounding(self.problem, Iterate(self.x, residual, self.norm), start, 1.0)
 
-    def _report(self, value: float, accelerated: bool) -> None:
+    def _report(self, value: float, accelerated: bool, is_newton: bool = False, linear_iterations: int = 0) -> None:
         if self.observe is None:
             return
         row: dict[str, float | int | str] = {
@@ -273,7 +310,8 @@ class _Step:
             "residual_norm": self.norm,
             "relative_residual": ratio(self.norm, self.problem.force_scale),
             "objective": value,
-            "linear_iterations": 0,
+            "linear_iterations": linear_iterations,
+            "newton": int(is_newton),
             "accelerated": int(accelerated),
             "taken_back": self.strikes,
             "seconds": self.budget.elapsed(),
@@ -282,4 +320,5 @@ class _Step:
 
     def _result(self, converged: bool, reason: str, is_fixed_work: bool = False) -> StepResult:
         relative = ratio(self.norm, self.problem.force_scale)
-        return StepResult(self.x, converged, reason, self.iteration, 0, self.norm, relative, is_fixed_work)
+        linear = 0 if self.finish is None else self.finish.linear_iterations
+        return StepResult(self.x, converged, reason, self.iteration, linear, self.norm, relative, is_fixed_work)

@@ -70,7 +70,7 @@ class ProjectedNewton:
             `converged` is False, with the reason, if the tolerance was not reached; nothing is raised for that.
         """
         options = self.options
-        rule = _NewtonRule(options.hessian, self.linear_solver)
+        rule = NewtonRule(options.hessian, self.linear_solver)
         descent = Descent(rule, options.tolerance, options.max_iterations, options.line_search)
         return descent.step(problem, state, observe, budget)
 
@@ -81,7 +81,7 @@ class ProjectedNewton:
         """Nothing is held between steps."""
 
 
-class _NewtonRule:
+class NewtonRule:
     """The Hessian of Phi, exact or clamped cell by cell."""
 
     def __init__(self, hessian: str, linear_solver: LinearSolver) -> None:

@@ -42,6 +42,13 @@ class PBNGSolver(SceneModel):
         default=1.7, ge=1.0, lt=2.0, description="sor: extrapolation from the sweep before the last [-]"
     )
     window: int = Field(default=8, ge=1, le=50, description="anderson: sweeps that are combined")
+    finish: Literal["none", "newton_krylov"] = Field(
+        default="none",
+        description="newton_krylov: Newton steps by `linear_solver` below `finish_below`, sweeps between them",
+    )
+    finish_below: float = Field(
+        default=1e-2, gt=0.0, description="newton_krylov: residual over the forces at which it takes over [-]"
+    )
     precision: Literal["float64", "float32"] = Field(
         default="float64",
         description="of the sweeps; float32 goes over to float64 once the residual, always in float64, falls no more",
@@ -51,6 +58,8 @@ class PBNGSolver(SceneModel):
     def _consistent(self) -> PBNGSolver:
         if self.relaxation != 1.0 and self.acceleration in ("chebyshev", "sor"):
             raise ValueError(f"relaxation: {self.acceleration} relaxes whole sweeps already; use one of the two")
+        if self.finish != "none" and self.iterations is not None:
+            raise ValueError("finish: a fixed number of sweeps has no tolerance to finish for")
         return self
 
     @property

@@ -89,6 +89,20 @@ def test_accelerations_find_the_same(acceleration: str) -> None:
     compare(twisted_block("neo_hookean", 3, False), acceleration=acceleration)
 
 
+@pytest.mark.parametrize("dynamic", [False, True], ids=["statics", "dynamics"])
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("law", list(LAWS))
+def test_newton_steps_finish_the_twisted_block(law: str, dim: int, dynamic: bool) -> None:
+    result = compare(twisted_block(law, dim, dynamic), finish="newton_krylov", acceleration="none")
+    assert result.linear_iterations > 0
+    assert result.iterations < 400
+
+
+def test_newton_steps_finish_other_accelerations_and_precisions() -> None:
+    for more in ({"acceleration": "chebyshev"}, {"acceleration": "anderson"}, {"precision": "float32"}):
+        compare(twisted_block("neo_hookean", 3, False), finish="newton_krylov", **more)
+
+
 def test_relaxation_inside_the_sweep_finds_the_same() -> None:
     compare(twisted_block("fixed_corotated", 3, False), relaxation=1.6, acceleration="none")
 

@@ -44,6 +44,17 @@ def total_memory() -> int | None:
         return None
 
 
+def available_memory() -> int | None:
+    """Memory that programs may still take [bytes], None where it cannot be found."""
+    try:
+        for line in Path("/proc/meminfo").read_text(encoding="ascii", errors="replace").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return None
+
+
 def describe(facts: dict[str, Any]) -> list[str]:
     """Lines of text about the machine, with a warning where it was busy when the benchmark began."""
     versions = facts["versions"]

@@ -48,6 +48,7 @@ Benchmark = Callable[[Callable[[str], None]], Findings]
 BENCHMARKS: dict[str, str] = {
     "newton": "verification.benchmarks.newton:run_newton",
     "mixed": "verification.benchmarks.mixed:run_mixed",
+    "pbng": "verification.benchmarks.pbng:run_pbng",
 }
 
 

@@ -11,6 +11,7 @@ from scenario import block, body, build, material, quasistatic, scene, step
 from femdeform.errors import InputError
 from femdeform.fem.assembly import SparseHessian
 from solvers.linear.scipy_direct import SciPyDirect
+from verification.benchmarks.matrix_times import matrix_times
 
 PRESETS = ["newton-mumps", "newton-gamg", "newton-hypre", "newton-icc", "newton-ssor"]
 
@@ -219,3 +220,25 @@ def test_krylov_methods_keep_blas_on_one_thread() -> None:
     with blas.one_thread():
         assert library.openblas_get_num_threads() == 1
     assert library.openblas_get_num_threads() == before
+
+
+@pytest.mark.petsc
+@pytest.mark.parametrize("preset", ["newton-icc", "newton-ssor"])
+def test_a_fixed_number_of_linear_iterations_is_no_failure(preset: str) -> None:
+    """Newton with limited conjugate gradients: each iteration of Newton's method takes so many, no more, no fewer."""
+    options = {"ksp_max_it": 7, "ksp_convergence_test": "skip"}
+    solver, K, b = system({"method": "ksp", "preset": preset, "options": options})
+    answer = solver.solve(K, b)
+    assert (answer.converged, answer.iterations) == (True, 7)
+    # Residuals of conjugate gradients may grow; what each of them lowers is the quadratic function.
+    gain = np.sum(answer.x * (b - 0.5 * matrix_times(K, answer.x)))
+    exact, K, b = system({"method": "ksp", "preset": "newton-mumps"})
+    most = 0.5 * np.sum(exact.solve(K, b).x * b)
+    assert 0.0 < gain < (1.0 - 1e-6) * most
+    data = deck({"method": "ksp", "preset": preset, "options": options})
+    rows: list[Any] = []
+    simulation = build({**data, "solver": {"tolerance": 1e-10, "max_iterations": 200, "hessian": "projected"}})
+    simulation.problem.begin_step(simulation.state, 1.0)
+    result = simulation.solver.step(simulation.problem, simulation.state, lambda row, x: rows.append(dict(row)))
+    assert result.converged, result.reason
+    assert {row["linear_iterations"] for row in rows} == {7}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from femdeform.materials import LAWS
 from femdeform.run.setup import Simulation
 from femdeform.step_problem import Budget, StepResult
 from solvers import pbng
+from solvers.linear.interface import LinearResult
+from solvers.newton_finish import NewtonFinish
 from solvers.position_based.node_sweep import NodeSweep
 
 Array = NDArray[np.float64]
@@ -209,6 +212,74 @@ def build_floor() -> float:
     """Where sweeps in float32 alone end."""
     _, rows, _ = take(reference_bar("fixed_corotated", 1e4, precision="float32", iterations=200, check_every=10))
     return min(row["relative_residual"] for row in rows)
+
+
+def test_newton_steps_take_turns_with_sweeps_and_are_reported() -> None:
+    """Ten digits in a fifth of the sweeps; a row for each Newton step, with its linear iterations."""
+    options = {"tolerance": 1e-11, "check_every": 5}
+    plain, _, _ = take(reference_bar("fixed_corotated", 1e5, **options))
+    result, rows, _ = take(reference_bar("fixed_corotated", 1e5, finish="newton_krylov", **options))
+    assert (plain.converged, result.converged) == (True, True)
+    assert result.iterations < plain.iterations / 5
+    np.testing.assert_allclose(result.x, plain.x, atol=1e-8)
+    newton = [row for row in rows if row["newton"]]
+    assert 2 <= len(newton) <= 5
+    assert all(row["linear_iterations"] == (1 if row["newton"] else 0) for row in rows)  # a direct solver
+    assert result.linear_iterations == sum(row["linear_iterations"] for row in rows) == len(newton)
+    # None before the threshold, and never two in a row.
+    below = [row["iteration"] for row in rows if row["relative_residual"] <= 1e-2]
+    assert newton[0]["iteration"] == below[0] + 1
+    assert not any(a["newton"] and b["newton"] for a, b in itertools.pairwise(rows))
+
+
+def test_a_linear_solver_that_fails_leaves_it_to_the_sweeps() -> None:
+    simulation = reference_bar("fixed_corotated", 1e4, finish="newton_krylov", tolerance=1e-10)
+    assert isinstance(simulation.solver, pbng.PBNG)
+    asked: list[float] = []
+
+    class Broken:
+        name = "broken"
+
+        def solve(self, K: Any, b: Array) -> LinearResult:
+            asked.append(float(np.abs(b).max()))
+            return LinearResult(np.full_like(b, np.nan), 7, False, "out of order")
+
+    simulation.solver.finish = NewtonFinish(Broken())  # type: ignore[arg-type]
+    for _ in range(2):
+        asked.clear()
+        result, rows, _ = take(simulation)
+        assert result.converged, result.reason
+        # The exact and the clamped matrix, then the clamped one alone, then no more.
+        assert len(asked) == 4
+        assert result.linear_iterations == 28
+        assert not any(row["newton"] for row in rows)
+
+
+def test_newton_steps_that_climb_are_not_taken() -> None:
+    """A direction that does not descend, and one that is far too long: Phi falls from look to look all the same."""
+    simulation = reference_bar("neo_hookean", 1e4, finish="newton_krylov", tolerance=1e-9, finish_below=10.0)
+    assert isinstance(simulation.solver, pbng.PBNG)
+
+    class Odd:
+        name = "odd"
+
+        def __init__(self, factor: float) -> None:
+            self.factor = factor
+
+        def solve(self, K: Any, b: Array) -> LinearResult:
+            return LinearResult(self.factor * b, 1, True, "")
+
+    for factor in (-1.0, 1e3):
+        simulation.solver.finish = NewtonFinish(Odd(factor))  # type: ignore[arg-type]
+        result, rows, _ = take(simulation)
+        assert result.converged, result.reason
+        values = [row["objective"] for row in rows]
+        assert np.all(np.diff(values) <= 1e-10 * abs(values[0]))
+
+
+def test_a_finish_needs_an_end_to_work_for() -> None:
+    with pytest.raises(InputError, match="no tolerance to finish for"):
+        reference_bar("arap", 1e4, finish="newton_krylov", iterations=5)
 
 
 def test_a_free_body_falls_freely() -> None:

@@ -1,0 +1,225 @@
+"""The PBNG benchmark: sweeps, their growth with the mesh, and the way to a tolerance beside Newton's method."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from femdeform import jit
+from solvers.linear.ksp import load_preset
+from verification.benchmarks import child_process
+from verification.benchmarks.child_process import Outcome, skipped
+from verification.benchmarks.environment import chosen_cells, has_petsc
+from verification.benchmarks.machine import available_memory
+from verification.benchmarks.newton import CELLS_BLOCK, NODES_BLOCK, newton_presets, peers_python, reason_to_skip
+from verification.benchmarks.run import Findings
+
+LAWS = ("neo_hookean", "fixed_corotated")
+PRECISIONS = ("float64", "float32")
+# Grid cells along an edge: 16, 32, 64 and 128 nodes.
+GROWTH = (15, 31, 63, 127)
+LEVELS = (1e-2, 1e-4, 1e-8)
+PROBLEMS = {"stretch": "released from the 10 % stretch, dt = 0.01 s", "twist": "twisted block, statics"}
+# Sweeps of the published budgets, and CG iterations of the Newton steps beside them.
+BUDGETS = ((6, 7), (40, 10))
+PEER = "newton_vbd.py"
+
+_CASE = "verification.benchmarks.pbng_case"
+# Peak of the process on 64^3 nodes, per tetrahedron: nine tenths of it are mesh and problem, one tenth the sweep.
+_BYTES_A_CELL = 2700.0
+# A step that has not converged by then is a row with dashes.
+_PATIENCE = 120.0
+_TIGHT, _LOOSE = "1e-6", "1e-3"
+
+
+@dataclass
+class Results:
+    """Outcomes of all cases; `pbng_tables` makes tables of them.
+
+    Attributes
+    ----------
+    cells, peer_cells : int
+        Grid cells along an edge of the block, and of that of the comparison.
+    bandwidth : Outcome
+        Copies of large arrays by all threads.
+    sweeps : dict
+        By law, precision and number of threads.
+    growth : dict
+        By law and grid cells.
+    convergence : dict
+        By problem and name of the method.
+    budgets, own, single, peer : Outcome
+        Equal budgets; our sweeps on the peer's block, on all threads and on one; the peer.
+    """
+
+    cells: int
+    peer_cells: int
+    bandwidth: Outcome
+    sweeps: dict[tuple[str, str, int], Outcome] = field(default_factory=dict)
+    growth: dict[tuple[str, int], Outcome] = field(default_factory=dict)
+    convergence: dict[str, dict[str, Outcome]] = field(default_factory=dict)
+    budgets: Outcome = field(default_factory=lambda: skipped("not run"))
+    own: Outcome = field(default_factory=lambda: skipped("not run"))
+    single: Outcome = field(default_factory=lambda: skipped("not run"))
+    peer: Outcome = field(default_factory=lambda: skipped("not run"))
+
+    def own_cases(self) -> dict[str, Outcome]:
+        """Every case of femdeform's own, by a name for people."""
+        cases = {"bandwidth": self.bandwidth, "budgets": self.budgets, "comparison": self.own}
+        cases |= {f"{law}, {kind}, {n} threads": outcome for (law, kind, n), outcome in self.sweeps.items()}
+        cases |= {f"{law}, {cells}^3 cells": outcome for (law, cells), outcome in self.growth.items()}
+        for problem, outcomes in self.convergence.items():
+            cases |= {f"{problem}, {method}": outcome for method, outcome in outcomes.items()}
+        return cases | {"comparison, one thread": self.single}
+
+
+def run_pbng(say: Callable[[str], None]) -> Findings:
+    """Run all cases, one after the other, each in a process of its own.
+
+    Parameters
+    ----------
+    say : callable
+        Gets a line of text before each case.
+
+    Returns
+    -------
+    Findings
+    """
+    from verification.benchmarks import pbng_tables
+
+    chosen = chosen_cells()
+    cells, peer_cells = (NODES_BLOCK, CELLS_BLOCK) if chosen is None else (chosen, chosen)
+    growth = GROWTH if chosen is None else (chosen, 2 * chosen)
+    case = {"kind": "bandwidth"} if chosen is None else {"kind": "bandwidth", "bytes": 1 << 20}
+    results = Results(cells, peer_cells, child_process.run_module(_CASE, case, jit.default_threads()))
+    _sweeps(results, say)
+    _growth(results, growth, say)
+    _convergence(results, say)
+    _budgets(results, say)
+    _comparison(results, say)
+    return pbng_tables.findings(results)
+
+
+def _sweeps(results: Results, say: Callable[[str], None]) -> None:
+    for law in LAWS:
+        for precision in PRECISIONS:
+            for threads in sorted({jit.default_threads(), 1}, reverse=True):
+                say(f"sweeps: {law}, {precision}, {threads} thread{'s' if threads > 1 else ''}")
+                results.sweeps[law, precision, threads] = _sweep(results.cells, law, precision, threads)
+
+
+def _sweep(cells: int, law: str, precision: str = "float64", threads: int | None = None) -> Outcome:
+    # Constraint colours are a figure of the tables only, and slow to find on the largest block.
+    case = {"kind": "sweep", "cells": cells, "law": law, "precision": precision, "constraints": cells < GROWTH[-1]}
+    return child_process.run_module(_CASE, case, jit.default_threads() if threads is None else threads)
+
+
+def _growth(results: Results, sizes: tuple[int, ...], say: Callable[[str], None]) -> None:
+    for law in LAWS:
+        for cells in sizes:
+            reason = reason_against_size(cells)
+            if reason:
+                results.growth[law, cells] = skipped(reason)
+                continue
+            say(f"growth: {law}, {(cells + 1) ** 3:,} nodes")
+            results.growth[law, cells] = _sweep(cells, law)
+
+
+def reason_against_size(cells: int) -> str:
+    """Why a block is not measured here; empty if it is."""
+    needed, there = 5.0 * cells**3 * _BYTES_A_CELL, available_memory()
+    if there is not None and needed > there:
+        return f"{(cells + 1) ** 3:,} nodes need about {needed / 1e9:.0f} GB, {there / 1e9:.0f} GB are free"
+    return ""
+
+
+def methods(cells: int) -> dict[str, tuple[dict[str, Any], dict[str, Any] | None, str]]:
+    """Ways to solve a step: block of the solver, of the linear solver, and why it is not measured, else empty."""
+    pbng = {"method": "pbng", "tolerance": 1e-8, "max_iterations": 20_000}
+    found: dict[str, tuple[dict[str, Any], dict[str, Any] | None, str]] = {
+        "pbng, plain": ({**pbng, "acceleration": "none"}, None, ""),
+        "pbng, relaxation 1.7": ({**pbng, "acceleration": "none", "relaxation": 1.7}, None, ""),
+        "pbng, chebyshev": ({**pbng, "acceleration": "chebyshev"}, None, ""),
+        "pbng, anderson": (pbng, None, ""),
+        "pbng, anderson 12, relaxation 1.7": ({**pbng, "window": 12, "relaxation": 1.7}, None, ""),
+    }
+    newton = {"method": "projected_newton", "tolerance": 1e-8, "max_iterations": 100}
+    if not has_petsc():
+        direct = {"method": "scipy_direct"}
+        reason = "petsc4py is not installed, and SciPy's factors fill memory" if cells > 12 else ""
+        return found | {
+            "pbng, newton_krylov, scipy": ({**pbng, "finish": "newton_krylov"}, direct, reason),
+            "newton, scipy": (newton, direct, reason),
+        }
+    for name, solver in (("pbng, newton_krylov", {**pbng, "finish": "newton_krylov"}), ("newton", newton)):
+        for preset in newton_presets():
+            reason = reason_to_skip(preset, cells) or ("slower than the others" if preset in _SLOW else "")
+            if "ksp_rtol" not in load_preset(preset).options:
+                linear: dict[str, Any] = {"method": "ksp", "preset": preset}
+                found[f"{name}, {preset.removeprefix('newton-')}"] = (solver, linear, reason)
+                continue
+            for rtol in (_TIGHT, _LOOSE):
+                linear = {"method": "ksp", "preset": preset, "options": {"ksp_rtol": rtol}}
+                found[f"{name}, {preset.removeprefix('newton-')} {rtol}"] = (solver, linear, reason)
+    return found
+
+
+# Four times as slow as the best in the Newton benchmark.
+_SLOW = ("newton-gamg", "newton-mumps", "newton-ssor")
+
+
+def _convergence(results: Results, say: Callable[[str], None]) -> None:
+    for problem in PROBLEMS:
+        outcomes = results.convergence.setdefault(problem, {})
+        for name, (solver, linear, reason) in methods(results.cells).items():
+            if reason:
+                outcomes[name] = skipped(reason)
+                continue
+            say(f"to a tolerance: {problem}, {name}")
+            case = {
+                "kind": "convergence",
+                "cells": results.cells,
+                "law": LAWS[0],
+                "problem": problem,
+                "solver": solver,
+                "linear_solver": linear,
+                "levels": LEVELS,
+                "seconds": _PATIENCE,
+            }
+            outcomes[name] = child_process.run_module(_CASE, case, jit.default_threads())
+
+
+def _budgets(results: Results, say: Callable[[str], None]) -> None:
+    if not has_petsc():
+        results.budgets = skipped("a fixed number of CG iterations needs petsc4py")
+        return
+    say("equal budgets")
+    case = {
+        "kind": "budgets",
+        "cells": results.cells,
+        "law": LAWS[0],
+        "sweeps": BUDGETS,
+        "linear_solver": {"method": "ksp", "preset": "newton-icc"},
+    }
+    results.budgets = child_process.run_module(_CASE, case, jit.default_threads())
+
+
+def _comparison(results: Results, say: Callable[[str], None]) -> None:
+    with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
+        dump = str(Path(folder, "block.npz"))
+        say(f"sweeps, {results.peer_cells}^3 cells, for the comparison")
+        case = {"kind": "dump", "cells": results.peer_cells, "dump": dump}
+        results.own = child_process.run_module(_CASE, case, jit.default_threads())
+        results.single = child_process.run_module(_CASE, case, 1)
+        python, reason = peers_python()
+        if python is None:
+            results.peer = skipped(reason)
+        elif not results.own.done:
+            results.peer = skipped("there is no state to compare at")
+        else:
+            say(f"Newton's VBD, {results.peer_cells}^3 cells")
+            path = Path(__file__).parent / "peers" / PEER
+            results.peer = child_process.run_script(python, path, {"block": dump})
