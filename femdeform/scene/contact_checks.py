@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from femdeform import registry
 from femdeform.scene import schema
 from femdeform.scene.contact_schema import IPCMethod
+from femdeform.scene.selection_checks import unknown_body
 from femdeform.scene.validation import Finding
-from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
 
 
@@ -32,8 +32,7 @@ def contact_findings(
     for place, pair in enumerate(method.between or []):
         for entry, name in enumerate(pair):
             if name not in scene.bodies:
-                hint = did_you_mean(name, scene.bodies)
-                yield Finding(("contact", "between", place, entry), f"there is no body `{name}`; {hint}")
+                yield unknown_body(name, ("contact", "between", place, entry), scene)
     for index, obstacle in enumerate(scene.obstacles):
         if obstacle.stiffness is not None:
             message = "belongs to the penalty; with contact.method ipc obstacles obey `contact.stiffness`"

@@ -8,10 +8,9 @@ from femdeform import registry
 from femdeform.scene import schema
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.link_schema import AttachmentLink, BindingLink, LinkEnd, PairLink, SpringLink, TieLink
-from femdeform.scene.selection_checks import judge_selection, vectors_inside
+from femdeform.scene.selection_checks import judge_selection, unknown_body, vectors_inside
 from femdeform.scene.selection_schema import Selection
 from femdeform.scene.validation import Finding
-from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
 
 
@@ -56,7 +55,7 @@ def _selections(link: AttachmentLink | TieLink | BindingLink) -> Iterator[tuple[
 
 def _end_findings(end: LinkEnd, path: KeyPath, scene: schema.DeformableScene) -> Iterator[Finding]:
     if end.body is not None and end.body not in scene.bodies:
-        yield Finding((*path, "body"), f"there is no body `{end.body}`; {did_you_mean(end.body, scene.bodies)}")
+        yield unknown_body(end.body, (*path, "body"), scene)
     yield from _obstacle_findings(end.obstacle, path, scene)
 
 

@@ -14,7 +14,7 @@ from femdeform.scene.quantity_schema import (
     MomentQuantity,
     MomentumQuantity,
 )
-from femdeform.scene.selection_checks import COMPONENTS, judge_point, judge_selection, vectors_inside
+from femdeform.scene.selection_checks import COMPONENTS, judge_point, judge_selection, unknown_body, vectors_inside
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
@@ -44,8 +44,7 @@ def quantity_findings(
         if len(dims) == 1:
             yield from _dimension_findings(block, path, *dims)
         if isinstance(block, CellQuantity) and block.body is not None and block.body not in scene.bodies:
-            hint = did_you_mean(block.body, scene.bodies)
-            yield Finding((*path, "body"), f"there is no body `{block.body}`; {hint}")
+            yield unknown_body(block.body, (*path, "body"), scene)
         if isinstance(block, (LinkQuantity, LinkForceQuantity)):
             yield from _link_findings(block.link, path, scene)
     for name in scene.expect.measured:

@@ -66,8 +66,7 @@ def judge_selection(
         yield from _judge_name(selection, path, scene, meshes, needs_facets)
         return
     if selection.body is not None and selection.body not in scene.bodies:
-        hint = did_you_mean(selection.body, scene.bodies)
-        yield Finding((*path, "body"), f"there is no body `{selection.body}`; {hint}")
+        yield unknown_body(selection.body, (*path, "body"), scene)
         return
     concerned = [selection.body] if selection.body is not None else list(scene.bodies)
     if isinstance(selection, NodeSelection) and len(concerned) > 1:
@@ -97,7 +96,7 @@ def _judge_name(
         if owners:
             yield Finding(path, f"`{name}` is a group, not a body; did you mean `{owners[0]}`?")
         else:
-            yield Finding(path, f"there is no body `{body}`; {did_you_mean(body, scene.bodies)}")
+            yield unknown_body(body, path, scene)
         return
     if body not in meshes:
         return
@@ -132,6 +131,11 @@ def _judge_extent(
             if all(scene.bodies[body].kind == "membrane" for body in nodes):
                 what = "whole cell of the membrane"
             yield Finding(path, f"{subject} holds nodes, but no {what} for the load to act on")
+
+
+def unknown_body(name: str, path: KeyPath, scene: schema.DeformableScene) -> Finding:
+    """Fault of a name that no body of the scene has."""
+    return Finding(path, f"there is no body `{name}`; {did_you_mean(name, scene.bodies)}")
 
 
 def judge_point(
