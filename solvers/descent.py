@@ -242,7 +242,8 @@ class Descent:
             usable, reason = False, "the solution of the linear system is beyond all measure"
         if matrix != "exact" and not usable:
             # A clamped Hessian cannot be indefinite: what spoils it is a motion that costs nothing.
-            reason += "; the system may be singular: is every body held, or has it inertia?"
+            other = "it needs more iterations (ksp_max_it) or another preset, or " if answer.ran_out else ""
+            reason += f"; {other}the system may be singular: is every body held, or has it inertia?"
         return _Direction(answer.x, slope, answer.iterations, matrix, usable, reason)
 
     def _line_search(

@@ -74,7 +74,7 @@ def symbolic_energy(law: str, F: Any, trace: Any, mu: Any, lmbda: Any) -> Any:
     if law == "logarithmic_neo_hookean":
         return mu / 2 * square - mu * sympy.log(J) + lmbda / 2 * sympy.log(J) ** 2
     if law == "stable_neo_hookean":
-        # Lame correction of methods.md, section 1; the rest state is free of stress for this alpha.
+        # Lame correction of docs/methods/materials.md; the rest state is free of stress for this alpha.
         shear = mu * sympy.Rational(d + 1, d)
         volume = lmbda + (sympy.Rational(5, 6) if d == 3 else sympy.Rational(2, 3)) * mu
         alpha = 1 + shear * sympy.Rational(d, d + 1) / volume

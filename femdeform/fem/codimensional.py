@@ -1,7 +1,7 @@
 """Compiled loops over triangles and edges in 3D: membranes and rods made of a three-dimensional law.
 
 The deformation gradient F = sum_a x_a (x) grad N_a has rank two (membrane) or one (rod). Its stretches, completed by
-ones, enter the law: psi(s1, s2, 1) and psi(s, 1, 1) (methods.md 2.10): the thickness is frozen, so this is not plane
+ones, enter the law: psi(s1, s2, 1) and psi(s, 1, 1): the thickness is frozen, so this is not plane
 stress. Energies and forces follow from the stretches alone; normals need not be known.
 
 Eigensystem of the Hessian over the tangential directions, with psi_i = dpsi/ds_i: in the plane the scaling, twist and

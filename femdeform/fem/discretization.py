@@ -213,7 +213,7 @@ def _solid_elements(mesh: Mesh, order: int, cells: IntArray) -> _Elements:
 
 
 def _codimensional_elements(mesh: Mesh, measure: float, cells: IntArray) -> _Elements:
-    """Constant gradients of triangles and edges in 3D (methods.md 2.10): rows of (T^T T)^-1 T^T."""
+    """Constant gradients of triangles and edges in 3D: rows of (T^T T)^-1 T^T."""
     corners = mesh.points[mesh.cells[cells]]
     tangents = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)  # (n, 3, k-1)
     metric = np.swapaxes(tangents, 1, 2) @ tangents

@@ -34,7 +34,7 @@ class CellTerm(Protocol):
 class ElasticEnergy:
     """Sum over cells of volume times energy density; one instance per element group.
 
-    Membranes and rods use the three-dimensional law with stretch one across (methods.md 2.10).
+    Membranes and rods use the three-dimensional law with stretch one across.
     """
 
     def __init__(self, group: ElementGroup) -> None:

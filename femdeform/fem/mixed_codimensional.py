@@ -2,7 +2,7 @@
 
 The stretch of a cell lives in its tangent plane or along its edge: three symmetric modes, or one. Variations out of the
 plane turn the cell; they meet only the geometric stiffness psi_i / s_i, which belongs to the part that is not
-eliminated (methods.md 2.10; multipliers of the normal directions would be the reaction of the frozen thickness and
+eliminated (multipliers of the normal directions would be the reaction of the frozen thickness and
 would stiffen the step by 2 mu across for nothing).
 """
 

@@ -4,7 +4,7 @@ that tie the principal stretches to the positions.
 At F = U diag(s) V^T the tangent of an isotropic law is the sum of scaling, twist and flip modes (femdeform.materials.
 isotropic). Scaling and flips act on symmetric variations of the stretch, R^T dF; they are the Hessian H of psi(S) and
 are clamped here above a floor, so that H has an inverse. The twists act on the rotation. Leaving them out gives the
-matrix of the mixed method with the stretch eliminated, C^+ of methods.md 2.3; a factor per cell puts them back.
+matrix of the mixed method with the stretch eliminated, C^+; a factor per cell puts them back.
 
 The local basis of the symmetric variations is that of the modes themselves, u_i v_i^T and (u_i v_j^T + u_j v_i^T) /
 sqrt 2: orthonormal, and H is block diagonal in it, the scaling block first, then the flips (1, 2), (2, 0), (0, 1).

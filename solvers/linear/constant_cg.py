@@ -63,7 +63,8 @@ class ConstantCG:
             norm = partition.norm(r)
             iteration += 1
         converged = norm <= target
-        return LinearResult(x, iteration, converged, "converged" if converged else f"{iteration} conjugate gradients")
+        reason = "converged" if converged else f"{iteration} conjugate gradients"
+        return LinearResult(x, iteration, converged, reason, not converged)
 
     def reset(self) -> None:
         """Nothing of its own is held between solves."""

@@ -27,7 +27,7 @@ class _Nodes:
 
 
 class ConstantMatrix:
-    """P = M/h^2 + 2 mu J^T V J, the paper's constant matrix with its volumes (methods.md 2.7 iii).
+    """P = M/h^2 + 2 mu J^T V J, the paper's constant matrix with its volumes.
 
     P couples no components: it is one scalar matrix over the nodes for each set of components that are prescribed
     together, factorised when the time step changes. With rotations R the condensed matrix K+ has

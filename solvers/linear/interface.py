@@ -23,12 +23,15 @@ class LinearResult:
         Whether the solver reached its own tolerance.
     reason : str
         Why it stopped, in words.
+    ran_out : bool
+        Whether it stopped because it had made all the iterations it was allowed.
     """
 
     x: FloatArray
     iterations: int
     converged: bool
     reason: str
+    ran_out: bool = False
 
 
 class LinearSolver(Protocol):

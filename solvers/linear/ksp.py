@@ -193,7 +193,8 @@ class KSP:
         x = np.empty((partition.n_local, dim))
         x[: partition.n_owned] = self._x.getArray(readonly=True).reshape(-1, dim)
         partition.update_ghosts(x)
-        return LinearResult(x, int(self._solver.getIterationNumber()), code > 0, self._reason(code))
+        ran_out = code == int(self._PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT)
+        return LinearResult(x, int(self._solver.getIterationNumber()), code > 0, self._reason(code), ran_out)
 
     def _reason(self, code: int) -> str:
         reasons = self._PETSc.KSP.ConvergedReason

@@ -25,7 +25,7 @@ _ROUNDING = 1e-15
 
 
 class Alternating:
-    """Algorithm 1 of the paper with its formulas corrected (methods.md 2.1 to 2.8).
+    """Algorithm 1 of the paper with its formulas corrected (docs/methods/mixed-fem.md).
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ class Alternating:
     ) -> tuple[float, FloatArray]:
         """Length and positions on the way from `begin` to `end` at which Phi is lower; the stretches go along.
 
-        The paper names no merit; Phi with the stretch eliminated is one (methods.md 2.8). Where free flight has turned
+        The paper names no merit; Phi with the stretch eliminated is one. Where free flight has turned
         a cell inside out whose law is not defined there, the way starts from the positions of the `last` state.
         """
         search = self.options.line_search

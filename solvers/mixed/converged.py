@@ -17,7 +17,7 @@ from solvers.linear.kkt_system import SaddleSystem
 
 
 class MixedRule:
-    """Descent with the stretch eliminated: K+ = M/h^2 + J^T V C^+ J, twists on where the rule says (methods.md 2.3).
+    """Descent with the stretch eliminated: K+ = M/h^2 + J^T V C^+ J, twists on where the rule says.
 
     Parameters
     ----------

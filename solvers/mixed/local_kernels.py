@@ -3,7 +3,7 @@
 Every quadrature point holds, as flat row-major arrays of d*d numbers, its stretch S (symmetric), rotation R and
 multiplier L, a stress density conjugate to F; `solvers.mixed.local_points` says how the model of psi is kept. Membranes
 and rods use the three-dimensional form with the projector N on the directions across the cell: R (S - N) = F
-(methods.md 2.10).
+(docs/methods/finite-elements.md).
 """
 
 from __future__ import annotations

@@ -298,3 +298,22 @@ def test_methods_that_do_not_know_links_are_refused() -> None:
     with pytest.raises(InputError, match="links: this method does not know them"):
         problem.local_cells()
     assert len(problem.local_cells(knows_links=True)) == 1
+
+
+# ------------------------------------------------------------------------------------- nothing pulls but the links
+
+
+@pytest.mark.parametrize("solver", [NEWTON, PBNG], ids=["newton", "pbng"])
+def test_links_alone_pull_a_body_at_rest(solver: dict[str, Any]) -> None:
+    """The last state has no forces but rounding, which is no scale for a residual."""
+    stuff = material("fixed_corotated", E=1e4)
+    data = scene(
+        {"a": body(block([1.0, 0.4], [7, 3], translate=[1.1, 0.3]), stuff)},
+        {"kind": "fixed", "on": "a.left"},
+        links={"s": {"kind": "attachment", "on": "a.right", "stiffness": 50.0, "velocity": [0.3, 0.1]}},
+        time=quasistatic(),
+    )
+    simulation, result = solve(data, {**solver, "tolerance": 1e-8}, 2)
+    assert simulation.problem.force_scale > 0.1
+    assert result.relative_residual <= 1e-8
+    assert np.abs(simulation.state.x - simulation.discretization.points).max() > 1e-3

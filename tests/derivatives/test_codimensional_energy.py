@@ -167,7 +167,7 @@ def test_collapsed_cells_stay_finite(name: str, n_nodes: int) -> None:
 
 @ALL_LAWS
 def test_small_strain_moduli(name: str) -> None:
-    """methods.md, section 6, row 16: the thickness is frozen, so this is plane strain across it, not plane stress."""
+    """The thickness is frozen, so this is plane strain across it, not plane stress."""
     psi, A, _, _ = dispatch.stretch_derivatives((1.0, 1.0, 1.0), law_of(name))
     lmbda = 0.0 if name == "arap" else LMBDA
     assert A[0] == pytest.approx(lmbda + 2.0 * MU, rel=1e-12)  # a rod, or a membrane held across

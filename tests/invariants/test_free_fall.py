@@ -40,7 +40,7 @@ THIN = {
 
 @pytest.mark.parametrize("name", [*SOLIDS, *THIN])
 def test_free_fall_is_exact(name: str) -> None:
-    """After n steps every node has fallen by g h^2 n (n + 1) / 2 (methods.md, section 6, row 7)."""
+    """After n steps every node has fallen by g h^2 n (n + 1) / 2."""
     n = 20
     simulation = run(falling({**SOLIDS, **THIN}[name], n))
     u = simulation.state.x - simulation.discretization.points
@@ -166,7 +166,7 @@ def test_energy_of_a_nonlinear_body_goes_down() -> None:
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_spin_of_a_stiff_body(dim: int) -> None:
-    """Backward Euler slows a rigid spin: tan t' = sin t / (2 - cos t) a step (methods.md, section 6, row 8)."""
+    """Backward Euler slows a rigid spin: tan t' = sin t / (2 - cos t) a step."""
     h, steps = 0.01, 30
     data = scene(
         {"b": body(block([1.0, 1.0, 0.5][:dim], [2, 2, 1][:dim]), material(E=1e9))},

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 def reference_bar(law: str, E: float, **solver: Any) -> Simulation:
-    """The 80-tet bar of the reference table (methods.md 9): twisted and stretched, thrown, one step of 10 ms."""
+    """The 80-tet bar of a reference table: twisted and stretched, thrown, one step of 10 ms."""
     simulation = build(
         scene(
             {"b": body(block([1.0, 0.5, 0.5], [4, 2, 2]), material(law, E=E, density=10.0))},

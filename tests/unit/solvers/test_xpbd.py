@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 def bar(law: str, E: float, scale: float = 1.0, density: float = 10.0, **solver: Any) -> Simulation:
-    """The 80-tet bar of the reference table (methods.md 9): twisted and stretched, thrown, one step of 10 ms."""
+    """The 80-tet bar of a reference table: twisted and stretched, thrown, one step of 10 ms."""
     s = scale
     simulation = build(
         scene(
@@ -278,7 +278,7 @@ def test_pbd_loses_its_load() -> None:
 
 
 def test_pseudo_time_comes_to_rest_at_the_wrong_place() -> None:
-    """Sag of the bar 4x1x1 (methods.md 3.5): true 0.6725; by pseudo-step and sweeps 0.88, 1.43, 0.82."""
+    """Sag of the bar 4x1x1: true 0.6725; by pseudo-step and sweeps 0.88, 1.43, 0.82."""
 
     def hanging(**solver: Any) -> Simulation:
         return build(

@@ -28,7 +28,7 @@ def scene_of(path: str, *overrides: str) -> schema.DeformableScene:
 
 # ------------------------------------------------------------------------------------------------------- uniaxial
 
-# Stretch 1.5, nu = 0.45, three dimensions; lateral stretch, P11 / E: methods.md, section 6, row 4.
+# Stretch 1.5, nu = 0.45, three dimensions; lateral stretch, P11 / E by bisection.
 TABLE = {
     "arap": (1.0, 0.344828),
     "corotated": (0.775, 0.5),
@@ -172,7 +172,7 @@ def test_swinging_rod_of_linear_cells(mass: str) -> None:
 
 
 def test_rigid_spin_is_the_projection_of_the_extrapolated_rotation() -> None:
-    """methods.md, section 6, row 8, and the recurrence it comes from, carried out with matrices."""
+    """The closed form, and the recurrence it comes from, carried out with matrices."""
     assert rigid_spin_angle(0.1, 30) == pytest.approx(2.65202, abs=5e-6)
     before = np.eye(2)
     # The start: x_hat = X + h v, with v = w times X turned by a right angle.
