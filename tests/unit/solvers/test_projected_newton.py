@@ -220,6 +220,14 @@ def test_a_flat_cloth_cannot_carry_its_weight_in_the_first_iteration() -> None:
     assert "singular" in result.reason
 
 
+def test_too_few_linear_iterations_are_named_as_a_reason() -> None:
+    data = scene({"b": body(block([1, 1, 1], [3, 3, 3]))}, {"kind": "fixed", "on": "b.left"}, gravity=[0, -9.81, 0])
+    options = {"method": "ksp", "preset": "newton-icc", "options": {"ksp_max_it": 1}}
+    result, _ = solve(build({**data, "linear_solver": options}))
+    assert not result.converged
+    assert "it needs more iterations (ksp_max_it) or another preset, or the system may be singular" in result.reason
+
+
 def test_a_body_held_everywhere() -> None:
     data = scene(
         {"b": body(block([1, 1, 1], [1, 1, 1]))},
