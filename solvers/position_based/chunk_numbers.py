@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba.extending import overload
 
 from femdeform.jit import njit, types
+from solvers.position_based.inlining import inlined, inlined_overload
 
 CHUNK = 64
 # Rows of a matrix and of a mobility, in the plane some are left over.
@@ -32,7 +32,7 @@ def put(row: Any, j: Any, A: Any, scratch: Any) -> None:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(put)
+@inlined_overload(put)
 def _put(row: Any, j: Any, A: Any, scratch: Any) -> Any:
     def nine(row: Any, j: Any, A: Any, scratch: Any) -> None:
         p = row * CHUNK + j
@@ -82,7 +82,7 @@ def _put(row: Any, j: Any, A: Any, scratch: Any) -> Any:
     return {9: nine, 6: six, 4: four, 3: three}[len(A)]
 
 
-@njit
+@inlined
 def _nine(row: Any, j: Any, scratch: Any) -> Any:
     p = row * CHUNK + j
     return (
@@ -98,7 +98,7 @@ def _nine(row: Any, j: Any, scratch: Any) -> Any:
     )
 
 
-@njit
+@inlined
 def _six(row: Any, j: Any, scratch: Any) -> Any:
     p = row * CHUNK + j
     return (
@@ -111,13 +111,13 @@ def _six(row: Any, j: Any, scratch: Any) -> Any:
     )
 
 
-@njit
+@inlined
 def _four(row: Any, j: Any, scratch: Any) -> Any:
     p = row * CHUNK + j
     return (scratch[p], scratch[p + CHUNK], scratch[p + 2 * CHUNK], scratch[p + 3 * CHUNK])
 
 
-@njit
+@inlined
 def _three(row: Any, j: Any, scratch: Any) -> Any:
     p = row * CHUNK + j
     return (scratch[p], scratch[p + CHUNK], scratch[p + 2 * CHUNK])
@@ -128,7 +128,7 @@ def get_matrix(row: Any, j: Any, scratch: Any, dim: Any) -> Any:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(get_matrix)
+@inlined_overload(get_matrix)
 def _get_matrix(row: Any, j: Any, scratch: Any, dim: Any) -> Any:
     kernel = _nine if len(dim) == 3 else _four
 
@@ -143,7 +143,7 @@ def get_mobility(row: Any, j: Any, scratch: Any, masks: Any, dim: Any) -> Any:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(get_mobility)
+@inlined_overload(get_mobility)
 def _get_mobility(row: Any, j: Any, scratch: Any, masks: Any, dim: Any) -> Any:
     kernel = _six if len(dim) == 3 else _three
 

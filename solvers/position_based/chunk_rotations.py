@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba.extending import overload
-
 from femdeform.jit import njit
 from solvers.position_based.chunk_numbers import CHUNK, get_matrix
 from solvers.position_based.constraints import CORRECTION, JUMP, ROTATED, rotation
+from solvers.position_based.inlining import inlined_overload
 
 # Rows of F, which `rotate` reads, of R, and of its doubt; further numbers begin at `FURTHER`.
 _F, _R, _DOUBT, FURTHER = 0, 9, 18, 19
@@ -24,7 +23,7 @@ def rotation_of(j: Any, F: Any, scratch: Any, law: Any) -> Any:
     raise NotImplementedError("compiled code only")
 
 
-@overload(rotation_of)
+@inlined_overload(rotation_of)
 def _rotation_of(j: Any, F: Any, scratch: Any, law: Any) -> Any:
     def spatial(j: Any, F: Any, scratch: Any, law: Any) -> Any:
         return get_matrix(_R, j, scratch, (0, 0, 0))
@@ -45,7 +44,7 @@ def rotate(n: Any, scratch: Any, law: Any, dim: Any) -> None:
     raise NotImplementedError("compiled code only")
 
 
-@overload(rotate)
+@inlined_overload(rotate)
 def _rotate(n: Any, scratch: Any, law: Any, dim: Any) -> Any:
     def spatial(n: Any, scratch: Any, law: Any, dim: Any) -> None:
         _rotate_3d(n, scratch)

@@ -26,6 +26,7 @@ from solvers.position_based.constraints import (
     stiffnesses,
     volume_constraint,
 )
+from solvers.position_based.inlining import inlined
 
 # Rows of a chunk's scratch behind those of `chunk_rotations`: K, h^2 V, both multipliers, then M for XPBD; for B-PXPBD
 # zeta and the matrices r, `held` and `left`, see `project_blended`.
@@ -40,7 +41,7 @@ _RES, _HELD, _LEFT = _ZETA + 1, _ZETA + 1 + MATRIX, _ZETA + 1 + 2 * MATRIX
 _BLENDED_ROWS = _LEFT + MATRIX
 
 
-@njit
+@inlined
 def _step_length(C: Any, slope: Any, s: Any, multiplier: Any, rigid: Any) -> Any:
     """Change of the multiplier of a constraint with D : D K = slope."""
     if rigid:
@@ -137,7 +138,7 @@ def _meet_volume(n: Any, k: Any, law: Any, rigid: Any, masks: Any, dim: Any, scr
         _meet(j, _L + 1, k, C, D, F, rigid, masks, dim, scratch)
 
 
-@njit
+@inlined
 def _meet(j: Any, row: Any, k: Any, C: Any, D: Any, F: Any, rigid: Any, masks: Any, dim: Any, scratch: Any) -> None:
     """One step of XPBD on a constraint of a cell: F, M and the multiplier in that row change."""
     DK = times(D, get_mobility(_K, j, scratch, masks, dim))
@@ -264,7 +265,7 @@ def _blend_volume(n: Any, k: Any, law: Any, epsilon: Any, keep: Any, masks: Any,
         _blend(j, _L + 1, k, C, D, F, held, left, old, keep, masks, dim, scratch)
 
 
-@njit
+@inlined
 def _blend(
     j: Any,
     row: Any,

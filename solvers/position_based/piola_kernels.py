@@ -38,6 +38,7 @@ from solvers.position_based.cell_algebra import (
 from solvers.position_based.chunk_numbers import CHUNK, MATRIX, MOBILITY, get_matrix, get_mobility, make_scratch, put
 from solvers.position_based.chunk_rotations import FURTHER, rotate, rotation_of
 from solvers.position_based.constraints import stress, stress_model
+from solvers.position_based.inlining import inlined
 from solvers.position_based.obstacle_kernels import step_in_contact
 
 # Halvings of a cell's step after which it waits for its neighbours.
@@ -57,7 +58,7 @@ _Q = _FAR + 1
 _ROWS = _Q + MATRIX
 
 
-@njit
+@inlined
 def model_step(F: Any, P: Any, R: Any, K: Any, s: Any, law: Any) -> Any:
     """dF and the stress at its end, with the definite model of the tangent."""
     a, c, W = stress_model(F, law)
@@ -201,7 +202,7 @@ def relax_cells(
             store(e, P, stresses)
 
 
-@njit
+@inlined
 def _residual(j: Any, F: Any, P: Any, K: Any, s: Any, dim: Any, scratch: Any) -> Any:
     """``B - F - s P K`` of a cell."""
     return combine(combine(get_matrix(_B, j, scratch, dim), 1.0, F, -1.0), 1.0, times(P, K), -s)
