@@ -116,10 +116,7 @@ def check_names(names: Sequence[str]) -> list[str]:
         from femdeform.errors import Fault
 
         raise InputError(
-            [
-                Fault("", 0, "bench", f"unknown benchmark `{name}`; {did_you_mean(name, BENCHMARKS)}")
-                for name in unknown
-            ]
+            [Fault("", 0, "bench", f"unknown benchmark `{name}`; {did_you_mean(name, BENCHMARKS)}") for name in unknown]
         )
     return list(dict.fromkeys(names)) or list(BENCHMARKS)
 
