@@ -49,6 +49,7 @@ BENCHMARKS: dict[str, str] = {
     "newton": "verification.benchmarks.newton:run_newton",
     "mixed": "verification.benchmarks.mixed:run_mixed",
     "pbng": "verification.benchmarks.pbng:run_pbng",
+    "xpbd": "verification.benchmarks.xpbd:run_xpbd",
 }
 
 
