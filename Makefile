@@ -105,6 +105,8 @@ $(PEERS)/.ready:
 	@$(PEERS)/bin/python -m pip install -q --disable-pip-version-check 'felupe>=9.0' 'scikit-fem>=10.0' scipy numpy
 	@$(PEERS)/bin/python -m pip install -q --disable-pip-version-check 'newton>=1.0' \
 	  || echo "peers: no Newton (physics engine) for this machine: its column stays empty"
+	@$(PEERS)/bin/python -m pip install -q --disable-pip-version-check pypbd \
+	  || echo "peers: no pyPBD for this machine: its row stays empty"
 	@touch $@
 
 peers: $(PEERS)/.ready

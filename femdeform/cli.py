@@ -517,6 +517,9 @@ examples:
 newton: assembly, one Newton iteration by preset, on one rank and two, beside other codes.
 mixed: a substep of the alternating scheme, one iteration of the converged one, growth with the mesh, iteration counts;
   with the meshes published with the paper's code where FEMDEFORM_DATA/meshes has them, else recipes of the same size.
+pbng: sweeps over the nodes, growth with the mesh, the way to a tolerance beside Newton's method, equal budgets.
+xpbd: sweeps over the cells, what they reach at given stiffness numbers, beside other codes.
+FEMDEFORM_BENCH_ONLY="growth; twist, newton" runs only cases of these two with such a text in their name.
 FEMDEFORM_BENCH_CELLS=N makes all bodies blocks of N cells an edge. bench.md holds the tables as Markdown.
 """
 

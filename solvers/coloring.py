@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from femdeform.counting_sort import sort_by_number
 from femdeform.jit import njit
 from femdeform.types import IntArray
 
@@ -58,14 +59,15 @@ def incidence(parts: list[np.ndarray[Any, Any]], n_items: int) -> Incidence:
     n_items : int
         Number of items.
     """
-    sizes = [np.full(len(part), part.shape[1], dtype=np.int64) for part in parts]
-    set_offsets = np.concatenate([[0], np.cumsum(np.concatenate([*sizes, np.empty(0, np.int64)]))]).astype(np.int64)
-    empty: list[np.ndarray[Any, Any]] = [np.empty(0, dtype=np.int64)]
-    items = np.concatenate([part.ravel() for part in parts] or empty).astype(np.int64)
-    sets = np.repeat(np.arange(set_offsets.size - 1), np.diff(set_offsets))
-    order = np.argsort(items, kind="stable")
-    item_offsets = np.concatenate([[0], np.cumsum(np.bincount(items, minlength=n_items))]).astype(np.int64)
-    return Incidence(set_offsets, items, item_offsets, sets[order])
+    starts = [np.zeros(1, dtype=np.int64)]
+    items: list[np.ndarray[Any, Any]] = [np.empty(0, dtype=np.int64)]
+    for part in parts:
+        starts.append(starts[-1][-1] + part.shape[1] * np.arange(1, len(part) + 1, dtype=np.int64))
+        items.append(part.ravel())
+    set_offsets, set_items = np.concatenate(starts), np.concatenate(items).astype(np.int64, copy=False)
+    entries, item_offsets = sort_by_number(set_items, n_items)
+    item_sets = np.repeat(np.arange(set_offsets.size - 1), np.diff(set_offsets))[entries]
+    return Incidence(set_offsets, set_items, item_offsets.astype(np.int64), item_sets)
 
 
 def color(graph: Incidence) -> IntArray:

@@ -170,6 +170,9 @@ class _Step:
                 best = min(best, self.norm)
                 self._report(value, False, True, newton.all_iterations)
                 continue
+            if newton is not None:
+                # What found nothing has cost time all the same.
+                self._report(value, False, True, newton.all_iterations)
 
             saved, saved_norm = self.flat.copy(), self.norm
             accelerated = self._sweeps(limit)
@@ -219,9 +222,9 @@ class _Step:
         if self.precision == "float32":
             self._refine(self.flat)
         answer = finish.advance(self.problem, self.x, residual)
+        self.iteration += 1
         if answer.found is not None:
             self.flat = self.sweep.flat(answer.found.x)
-            self.iteration += 1
             self.was_newton = True
             if self.accelerator is not None:
                 self.accelerator.restart()

@@ -199,9 +199,7 @@ class ManufacturedSolution:
     For ARAP and the corotated laws the displacement may not invert the body so far that its rotation is not unique.
     """
 
-    def __init__(
-        self, law: str, youngs_modulus: float, poisson_ratio: float, displacement: Sequence[Any]
-    ) -> None:
+    def __init__(self, law: str, youngs_modulus: float, poisson_ratio: float, displacement: Sequence[Any]) -> None:
         import sympy
 
         self.law = law

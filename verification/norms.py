@@ -199,9 +199,7 @@ def _shapes(barycentric: FloatArray, dim: int, order: int) -> tuple[FloatArray, 
         return barycentric, np.broadcast_to(unit, (n_q, dim + 1, dim + 1))
     first, second = np.array(_EDGES[dim]).T
     corner_slopes = (4.0 * barycentric - 1.0)[:, :, None] * unit
-    edge_slopes = 4.0 * (
-        barycentric[:, first, None] * unit[second] + barycentric[:, second, None] * unit[first]
-    )
+    edge_slopes = 4.0 * (barycentric[:, first, None] * unit[second] + barycentric[:, second, None] * unit[first])
     values = [barycentric * (2.0 * barycentric - 1.0), 4.0 * barycentric[:, first] * barycentric[:, second]]
     return np.concatenate(values, axis=1), np.concatenate([corner_slopes, edge_slopes], axis=1)
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from femdeform.counting_sort import sort_by_number
 from femdeform.fem import kernels
 from femdeform.parallel import Partition
 from femdeform.types import FloatArray, IntArray
@@ -31,8 +32,7 @@ class SlotSum:
     def __init__(self, cells: Sequence[np.ndarray], n_nodes: int) -> None:
         nodes = np.concatenate([c.ravel() for c in cells]) if cells else np.empty(0, dtype=np.int32)
         self.n_slots = int(nodes.size)
-        self.entries = np.argsort(nodes, kind="stable").astype(np.int32)
-        self.offsets = _offsets(nodes, n_nodes)
+        self.entries, self.offsets = sort_by_number(nodes, n_nodes)
 
     def __call__(self, slots: FloatArray, out: FloatArray) -> None:
         """Sum `slots` (n_slots, d) into `out` (n_nodes, d), overwriting it."""

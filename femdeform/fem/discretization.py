@@ -7,7 +7,7 @@ the kernels of `femdeform.fem.kernels`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -18,6 +18,9 @@ from femdeform.parallel import Partition
 from femdeform.types import FloatArray, IntArray, Mesh
 
 Kind = Literal["solid", "membrane", "rod"]
+
+# Cells whose shape functions are evaluated at once: what is made on the way takes a kilobyte a cell.
+_BATCH = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -163,10 +166,8 @@ class Discretization:
 
 @dataclass(frozen=True)
 class _Elements:
-    """Shape functions of one mesh: connectivity, gradients, weights, and masses of unit density."""
+    """Shape functions of some cells: gradients, weights, and masses of unit density."""
 
-    points: FloatArray
-    connectivity: IntArray
     gradients: FloatArray
     weights: FloatArray
     mass: FloatArray  # (n_cells, n_local, n_local), integral of N_a N_b
@@ -191,7 +192,6 @@ def node_connectivity(mesh: Mesh, order: int) -> tuple[FloatArray, IntArray]:
 def _solid_elements(mesh: Mesh, order: int, cells: IntArray) -> _Elements:
     import skfem
 
-    nodes, connectivity = node_connectivity(mesh, order)
     classes: dict[tuple[str, int], tuple[Any, Any]] = {
         ("triangle", 1): (skfem.MeshTri1, skfem.ElementTriP1),
         ("triangle", 2): (skfem.MeshTri1, skfem.ElementTriP2),
@@ -209,7 +209,7 @@ def _solid_elements(mesh: Mesh, order: int, cells: IntArray) -> _Elements:
     mass_basis = skfem.Basis(shape, element(), intorder=2 * order)
     shape_values = np.stack([np.broadcast_to(np.asarray(phi[0]), mass_basis.dx.shape) for phi in mass_basis.basis])
     mass = np.einsum("aeq,beq,eq->eab", shape_values, shape_values, mass_basis.dx, optimize=True)
-    return _Elements(nodes, connectivity[cells], np.ascontiguousarray(gradients), np.array(basis.dx), mass)
+    return _Elements(gradients, basis.dx, mass)
 
 
 def _codimensional_elements(mesh: Mesh, measure: float, cells: IntArray) -> _Elements:
@@ -222,7 +222,17 @@ def _codimensional_elements(mesh: Mesh, measure: float, cells: IntArray) -> _Ele
     k = corners.shape[1]
     volume = np.sqrt(np.linalg.det(metric)) / (k - 1) * measure  # length, or half the parallelogram
     mass = volume[:, None, None] * (np.ones((k, k)) + np.eye(k)) / (k * (k + 1))
-    return _Elements(mesh.points, mesh.cells[cells], gradients[:, None], volume[:, None], mass)
+    return _Elements(gradients[:, None], volume[:, None], mass)
+
+
+def _elements(body: BodyInput, cells: IntArray) -> Iterator[tuple[slice, _Elements]]:
+    """Shape functions of cells of a body, some at a time, with the rows that they are of `cells`."""
+    for first in range(0, cells.size, _BATCH):
+        part = slice(first, min(first + _BATCH, cells.size))
+        if body.kind == "solid":
+            yield part, _solid_elements(body.mesh, body.order, cells[part])
+        else:
+            yield part, _codimensional_elements(body.mesh, body.measure, cells[part])
 
 
 def _lump(mass: FloatArray, order: int) -> FloatArray:
@@ -295,7 +305,13 @@ def discretize(
     touched: list[IntArray] = []
     for name, held in nodes_of.items():
         connectivity = held.connectivity
-        ranks = np.zeros(len(connectivity), dtype=np.int64) if cell_rank is None else cell_rank[name]
+        if cell_rank is None:
+            used = np.zeros(held.n_nodes, dtype=bool)
+            used[connectivity] = True
+            owner_of.append(np.where(used, 0, np.iinfo(np.int64).max))
+            touched.append(held.first + np.flatnonzero(used))
+            continue
+        ranks = cell_rank[name]
         # A node belongs to the lowest rank among its cells: every rank finds the same answer by itself.
         owner = np.full(held.n_nodes, np.iinfo(np.int64).max)
         np.minimum.at(owner, connectivity.ravel(), np.repeat(ranks, connectivity.shape[1]))
@@ -318,21 +334,7 @@ def discretize(
             mine = cells if cell_rank is None else cells[cell_rank[name][cells] == rank]
             if mine.size == 0:
                 continue
-            if body.kind == "solid":
-                elements = _solid_elements(body.mesh, body.order, mine)
-            else:
-                elements = _codimensional_elements(body.mesh, body.measure, mine)
-            numbers = to_local[nodes_of[name].first + elements.connectivity]
-            groups.append(
-                ElementGroup(
-                    name, body.kind, law, numbers.astype(np.int32), elements.gradients, elements.weights, mine
-                )
-            )
-            mass = density * elements.mass
-            if body.consistent_mass:
-                consistent.append((numbers, mass))
-            np.add.at(nodal[:, 0], numbers, _lump(mass, body.order))
-            np.add.at(nodal[:, 1], numbers, mass.sum(axis=2))
+            groups.append(_element_group(name, body, law, density, mine, nodes_of[name], to_local, nodal, consistent))
     partition.accumulate(nodal)
     lumped = np.ascontiguousarray(nodal[:, 0])
     return Discretization(
@@ -347,6 +349,35 @@ def discretize(
         all_points=all_points,
         local_numbers=to_local,
     )
+
+
+def _element_group(
+    name: str,
+    body: BodyInput,
+    law: Any,
+    density: float,
+    cells: IntArray,
+    nodes: BodyNodes,
+    to_local: IntArray,
+    nodal: FloatArray,
+    consistent: list[tuple[IntArray, FloatArray]],
+) -> ElementGroup:
+    """Cells of one region; their masses go to `nodal` (n_local, 2), lumped and row sums, and to `consistent`."""
+    n_corners = nodes.connectivity.shape[1]
+    numbers = np.empty((cells.size, n_corners), dtype=np.int32)
+    gradients, weights = np.empty(0), np.empty(0)
+    for part, elements in _elements(body, cells):
+        if part.start == 0:
+            gradients = np.empty((cells.size, *elements.gradients.shape[1:]))
+            weights = np.empty((cells.size, *elements.weights.shape[1:]))
+        here = to_local[nodes.first + nodes.connectivity[cells[part]]]
+        numbers[part], gradients[part], weights[part] = here, elements.gradients, elements.weights
+        mass = density * elements.mass
+        if body.consistent_mass:
+            consistent.append((here, mass))
+        np.add.at(nodal[:, 0], here, _lump(mass, body.order))
+        np.add.at(nodal[:, 1], here, mass.sum(axis=2))
+    return ElementGroup(name, body.kind, law, numbers, gradients, weights, cells)
 
 
 def _assemble_mass(

@@ -114,8 +114,10 @@ class IncrementalPotential:
         self._terms: list[CellTerm] = [*self.elastic, *self.pressures, *self._link_terms]
         n = discretization.n_nodes
         cells = [term.cells for term in self._terms]
-        self._cell_pattern = BlockPattern(cells, n, self.dim)
-        self.pattern = self._cell_pattern
+        # Found when a Hessian is first asked for: methods that sweep never do, and it is the largest of all arrays.
+        self._cell_pattern: BlockPattern | None = None
+        self._extended: BlockPattern | None = None
+        self._mass_scalars: FloatArray | None = None
         self._sum = SlotSum(cells, n)
         self._first_row = np.concatenate([[0], np.cumsum([c.size for c in cells])]).astype(int)
         self._slots = np.empty((self._sum.n_slots, self.dim))
@@ -123,10 +125,9 @@ class IncrementalPotential:
         self._values: FloatArray | None = None
         self._part_values: FloatArray | None = None
         self._rows: FloatArray | None = None
-        self._diagonal = np.empty((n, self.dim * self.dim))
+        self._diagonal: FloatArray | None = None
         mass = discretization.consistent_mass
         self._mass = None if quasistatic else mass
-        self._set_pattern(self._cell_pattern)
 
         self.dt = 1.0
         self.time = 0.0
@@ -326,16 +327,21 @@ class IncrementalPotential:
         coupled = [term.hessian_blocks(x, project) for term in self.couplings]
         if coupled:
             self._adapt_pattern(coupled)
+        pattern = self.pattern
         if self._blocks is None:
-            self._blocks = np.empty((self.pattern.n_slots, dim * dim))
+            self._blocks = np.empty((pattern.n_slots, dim * dim))
+        if self._diagonal is None:
+            self._diagonal = np.empty((self.discretization.n_nodes, dim * dim))
+        if self._mass_scalars is None:
+            self._mass_scalars = np.empty(0) if self._mass is None else pattern.block_scalars(self._mass)
         values = self._part_values if is_part else self._values
         if values is None:
-            values = np.empty(self.pattern.n_values)
+            values = np.empty(pattern.n_values)
             if is_part:
                 self._part_values = values
             else:
                 self._values = values
-        for k, (term, first) in enumerate(zip(self._terms, self.pattern.first_slot, strict=True)):
+        for k, (term, first) in enumerate(zip(self._terms, pattern.first_slot, strict=True)):
             if elastic is not None and k < len(self.elastic):
                 elastic(k, self._blocks, first)
             else:
@@ -345,19 +351,20 @@ class IncrementalPotential:
             self._diagonal[:, :: dim + 1] = (self.discretization.lumped_mass / self.dt**2)[:, None]
         for contact in self.contacts:
             contact.add_hessian(x, project, self._diagonal)
-        self._blocks[self._cell_pattern.n_slots :] = 0.0
+        first_pair = pattern.n_slots - pattern.pairs.size
+        self._blocks[first_pair:] = 0.0
         for part in coupled:
-            pairs = part.rows * self.pattern.n_nodes + part.columns
-            self._blocks[self._cell_pattern.n_slots + np.searchsorted(self.pattern.pairs, pairs)] += part.blocks
+            pairs = part.rows * pattern.n_nodes + part.columns
+            self._blocks[first_pair + np.searchsorted(pattern.pairs, pairs)] += part.blocks
             self._diagonal[part.nodes] += part.diagonal
         mask = self.free if free is None else free
         kernels.sum_blocks(
             self._blocks,
-            self.pattern.row_offsets,
-            self.pattern.columns,
-            self.pattern.mirrors,
-            self.pattern.offsets,
-            self.pattern.entries,
+            pattern.row_offsets,
+            pattern.columns,
+            pattern.mirrors,
+            pattern.offsets,
+            pattern.entries,
             self._diagonal,
             self._mass_scalars / self.dt**2,
             mask.view(np.uint8),
@@ -366,30 +373,40 @@ class IncrementalPotential:
             values,
         )
         return SparseHessian(
-            self.pattern.dof_row_offsets,
-            self.pattern.dof_columns,
+            pattern.dof_row_offsets,
+            pattern.dof_columns,
             values,
             self.discretization.points,
             mask,
             self.partition,
-            self.pattern,
+            pattern,
         )
 
-    def _set_pattern(self, pattern: BlockPattern) -> None:
-        if self._values is not None:
-            # Rounding is judged by the last whole Hessian, also where further ones are made in parts only.
-            self._rows = self._row_scale(self._values)
-        self.pattern = pattern
-        self._blocks, self._values, self._part_values = None, None, None
-        self._mass_scalars = np.empty(0) if self._mass is None else pattern.block_scalars(self._mass)
+    @property
+    def cell_pattern(self) -> BlockPattern:
+        """Sparsity of the Hessian without contact between bodies; found on the first call."""
+        if self._cell_pattern is None:
+            cells = [term.cells for term in self._terms]
+            self._cell_pattern = BlockPattern(cells, self.discretization.n_nodes, self.dim)
+        return self._cell_pattern
+
+    @property
+    def pattern(self) -> BlockPattern:
+        """Sparsity of the Hessian with the pairs of nodes that were last in contact."""
+        return self.cell_pattern if self._extended is None else self._extended
 
     def _adapt_pattern(self, coupled: Sequence[NodeBlocks]) -> None:
         """Make room for the pairs of nodes in contact; pairs that were coupled in this step keep theirs."""
-        n = self._cell_pattern.n_nodes
+        n = self.discretization.n_nodes
         wanted = np.concatenate([part.rows * n + part.columns for part in coupled])
         self._in_use = np.union1d(self._in_use, wanted)
-        if not np.array_equal(self._in_use, self.pattern.pairs):
-            self._set_pattern(self._cell_pattern.extended(self._in_use) if self._in_use.size else self._cell_pattern)
+        if np.array_equal(self._in_use, self.pattern.pairs):
+            return
+        if self._values is not None:
+            # Rounding is judged by the last whole Hessian, also where further ones are made in parts only.
+            self._rows = self._row_scale(self._values)
+        self._extended = self.cell_pattern.extended(self._in_use) if self._in_use.size else None
+        self._blocks, self._values, self._part_values, self._mass_scalars = None, None, None, None
 
     def hessian_times(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> FloatArray:
         """Product of the projected Hessian, prescribed degrees of freedom included, with a (n_local, dim) field.
@@ -441,7 +458,9 @@ class IncrementalPotential:
             part = LocalCells(group.law, group.cells, group.gradients[:, 0], group.weights.sum(axis=1))
             by_law.setdefault((type(group.law), tuple(group.law)), []).append(part)
         return [
-            LocalCells(
+            parts[0]
+            if len(parts) == 1
+            else LocalCells(
                 parts[0].law,
                 np.concatenate([part.cells for part in parts]),
                 np.concatenate([part.gradients for part in parts]),

@@ -18,6 +18,7 @@ from numba.extending import overload
 from femdeform.jit import njit, types
 from femdeform.materials.determinant_form import combination_2d, combination_3d
 from femdeform.materials.small_matrix import cofactor_2d, cofactor_3d, det_2d, det_3d
+from solvers.position_based.inlining import inlined, inlined_overload
 
 _COMPILED_ONLY = "compiled code only"
 
@@ -25,7 +26,7 @@ _COMPILED_ONLY = "compiled code only"
 # ---------------------------------------------------------------------------------------- products
 
 
-@njit
+@inlined
 def _dot_3d(A: Any, B: Any) -> Any:
     return (
         (A[0] * B[0] + A[1] * B[1] + A[2] * B[2])
@@ -34,7 +35,7 @@ def _dot_3d(A: Any, B: Any) -> Any:
     )
 
 
-@njit
+@inlined
 def _dot_2d(A: Any, B: Any) -> Any:
     return A[0] * B[0] + A[1] * B[1] + A[2] * B[2] + A[3] * B[3]
 
@@ -44,7 +45,7 @@ def dot(A: Any, B: Any) -> Any:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(dot)
+@inlined_overload(dot)
 def _dot(A: Any, B: Any) -> Any:
     kernel = _dot_2d if len(A) == 4 else _dot_3d
 
@@ -59,7 +60,7 @@ def combine(A: Any, a: Any, B: Any, b: Any) -> Any:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(combine)
+@inlined_overload(combine)
 def _combine(A: Any, a: Any, B: Any, b: Any) -> Any:
     kernel = combination_2d if len(A) == 4 else combination_3d
 
@@ -74,7 +75,7 @@ def cofactor(F: Any) -> Any:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(cofactor)
+@inlined_overload(cofactor)
 def _cofactor(F: Any) -> Any:
     kernel = cofactor_2d if len(F) == 4 else cofactor_3d
 
@@ -89,7 +90,7 @@ def determinant(F: Any) -> Any:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(determinant)
+@inlined_overload(determinant)
 def _determinant(F: Any) -> Any:
     kernel = det_2d if len(F) == 4 else det_3d
 
@@ -99,7 +100,7 @@ def _determinant(F: Any) -> Any:
     return implementation
 
 
-@njit
+@inlined
 def _row_times_3d(a: Any, b: Any, c: Any, K: Any) -> Any:
     return (
         a * K[0] + b * K[5] + c * K[4],
@@ -108,7 +109,7 @@ def _row_times_3d(a: Any, b: Any, c: Any, K: Any) -> Any:
     )
 
 
-@njit
+@inlined
 def _times_3d(A: Any, K: Any) -> Any:
     r, s, t = (
         _row_times_3d(A[0], A[1], A[2], K),
@@ -118,7 +119,7 @@ def _times_3d(A: Any, K: Any) -> Any:
     return (r[0], r[1], r[2], s[0], s[1], s[2], t[0], t[1], t[2])
 
 
-@njit
+@inlined
 def _times_rows_3d(A: Any, K: Any) -> Any:
     r, s, t = (
         _row_times_3d(A[0], A[1], A[2], K[0]),
@@ -128,7 +129,7 @@ def _times_rows_3d(A: Any, K: Any) -> Any:
     return (r[0], r[1], r[2], s[0], s[1], s[2], t[0], t[1], t[2])
 
 
-@njit
+@inlined
 def _times_2d(A: Any, K: Any) -> Any:
     return (
         A[0] * K[0] + A[1] * K[2],
@@ -138,7 +139,7 @@ def _times_2d(A: Any, K: Any) -> Any:
     )
 
 
-@njit
+@inlined
 def _times_rows_2d(A: Any, K: Any) -> Any:
     k, m = K
     return (
@@ -154,7 +155,7 @@ def times(A: Any, K: Any) -> Any:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(times)
+@inlined_overload(times)
 def _times(A: Any, K: Any) -> Any:
     rows = isinstance(K[0], types.BaseTuple)
     if len(A) == 4:
@@ -168,7 +169,7 @@ def _times(A: Any, K: Any) -> Any:
     return implementation
 
 
-@njit
+@inlined
 def _resolvent_3d(K: Any, c: Any) -> Any:
     a0, a1, a2, a3, a4, a5 = 1.0 + c * K[0], 1.0 + c * K[1], 1.0 + c * K[2], c * K[3], c * K[4], c * K[5]
     c0, c1, c2 = a1 * a2 - a3 * a3, a4 * a3 - a5 * a2, a5 * a3 - a4 * a1
@@ -183,19 +184,19 @@ def _resolvent_3d(K: Any, c: Any) -> Any:
     )
 
 
-@njit
+@inlined
 def _resolvent_rows_3d(K: Any, c: Any) -> Any:
     return (_resolvent_3d(K[0], c), _resolvent_3d(K[1], c), _resolvent_3d(K[2], c))
 
 
-@njit
+@inlined
 def _resolvent_2d(K: Any, c: Any) -> Any:
     a0, a1, a2 = 1.0 + c * K[0], 1.0 + c * K[1], c * K[2]
     inverse = 1.0 / (a0 * a1 - a2 * a2)
     return (inverse * a1, inverse * a0, -inverse * a2)
 
 
-@njit
+@inlined
 def _resolvent_rows_2d(K: Any, c: Any) -> Any:
     return (_resolvent_2d(K[0], c), _resolvent_2d(K[1], c))
 
@@ -205,7 +206,7 @@ def resolvent(K: Any, c: Any) -> Any:
     raise NotImplementedError(_COMPILED_ONLY)
 
 
-@overload(resolvent)
+@inlined_overload(resolvent)
 def _resolvent(K: Any, c: Any) -> Any:
     if isinstance(K[0], types.BaseTuple):
         kernel = _resolvent_rows_2d if len(K) == 2 else _resolvent_rows_3d

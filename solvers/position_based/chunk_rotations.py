@@ -1,7 +1,7 @@
 """Rotations of the cells of a chunk at once, written so that compilers turn the loop over cells into vectors.
 
-A chunk is `CHUNK` cells that one thread takes at a time. Its scratch holds number k of cell j at ``k CHUNK + j``: F,
-then R, then how far R is to be doubted. Laws that know no rotation, and the plane, leave it alone.
+The first rows of a chunk's scratch (see `chunk_numbers`) hold F, then R, then how far R is to be doubted. Laws that
+know no rotation, and the plane, leave R alone.
 """
 
 from __future__ import annotations
@@ -9,81 +9,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-from numba.extending import overload
-
 from femdeform.jit import njit
+from solvers.position_based.chunk_numbers import CHUNK, get_matrix
 from solvers.position_based.constraints import CORRECTION, JUMP, ROTATED, rotation
+from solvers.position_based.inlining import inlined_overload
 
-CHUNK = 64
-
-
-@njit
-def make_scratch(dim: Any) -> Any:
-    """Scratch of a chunk; filled, so that what is not used is a number."""
-    return np.zeros(19 * CHUNK if len(dim) == 3 else 8 * CHUNK)
-
-
-def put(j: Any, A: Any, scratch: Any) -> None:
-    """Write F of cell j."""
-    raise NotImplementedError("compiled code only")
-
-
-@overload(put)
-def _put(j: Any, A: Any, scratch: Any) -> Any:
-    def spatial(j: Any, A: Any, scratch: Any) -> None:
-        scratch[j] = A[0]
-        scratch[CHUNK + j] = A[1]
-        scratch[2 * CHUNK + j] = A[2]
-        scratch[3 * CHUNK + j] = A[3]
-        scratch[4 * CHUNK + j] = A[4]
-        scratch[5 * CHUNK + j] = A[5]
-        scratch[6 * CHUNK + j] = A[6]
-        scratch[7 * CHUNK + j] = A[7]
-        scratch[8 * CHUNK + j] = A[8]
-
-    def planar(j: Any, A: Any, scratch: Any) -> None:
-        scratch[j] = A[0]
-        scratch[CHUNK + j] = A[1]
-        scratch[2 * CHUNK + j] = A[2]
-        scratch[3 * CHUNK + j] = A[3]
-
-    return planar if len(A) == 4 else spatial
-
-
-@njit
-def _matrix_3d(j: Any, scratch: Any) -> Any:
-    return (
-        scratch[j],
-        scratch[CHUNK + j],
-        scratch[2 * CHUNK + j],
-        scratch[3 * CHUNK + j],
-        scratch[4 * CHUNK + j],
-        scratch[5 * CHUNK + j],
-        scratch[6 * CHUNK + j],
-        scratch[7 * CHUNK + j],
-        scratch[8 * CHUNK + j],
-    )
-
-
-@njit
-def _matrix_2d(j: Any, scratch: Any) -> Any:
-    return (scratch[j], scratch[CHUNK + j], scratch[2 * CHUNK + j], scratch[3 * CHUNK + j])
-
-
-def get(j: Any, scratch: Any, dim: Any) -> Any:
-    """F of cell j."""
-    raise NotImplementedError("compiled code only")
-
-
-@overload(get)
-def _get(j: Any, scratch: Any, dim: Any) -> Any:
-    kernel = _matrix_3d if len(dim) == 3 else _matrix_2d
-
-    def implementation(j: Any, scratch: Any, dim: Any) -> Any:
-        return kernel(j, scratch)
-
-    return implementation
+# Rows of F, which `rotate` reads, of R, and of its doubt; further numbers begin at `FURTHER`.
+_F, _R, _DOUBT, FURTHER = 0, 9, 18, 19
 
 
 def rotation_of(j: Any, F: Any, scratch: Any, law: Any) -> Any:
@@ -91,10 +23,10 @@ def rotation_of(j: Any, F: Any, scratch: Any, law: Any) -> Any:
     raise NotImplementedError("compiled code only")
 
 
-@overload(rotation_of)
+@inlined_overload(rotation_of)
 def _rotation_of(j: Any, F: Any, scratch: Any, law: Any) -> Any:
     def spatial(j: Any, F: Any, scratch: Any, law: Any) -> Any:
-        return _matrix_3d(9 * CHUNK + j, scratch)
+        return get_matrix(_R, j, scratch, (0, 0, 0))
 
     def planar(j: Any, F: Any, scratch: Any, law: Any) -> Any:
         return rotation(F)
@@ -112,7 +44,7 @@ def rotate(n: Any, scratch: Any, law: Any, dim: Any) -> None:
     raise NotImplementedError("compiled code only")
 
 
-@overload(rotate)
+@inlined_overload(rotate)
 def _rotate(n: Any, scratch: Any, law: Any, dim: Any) -> Any:
     def spatial(n: Any, scratch: Any, law: Any, dim: Any) -> None:
         _rotate_3d(n, scratch)
@@ -165,7 +97,7 @@ def _rotate_3d(n: Any, scratch: Any) -> None:
         scratch[16 * CHUNK + j] = a * F7 + b * W7 + c * (F6 * C5 + F7 * C1 + F8 * C3)
         scratch[17 * CHUNK + j] = a * F8 + b * W8 + c * (F6 * C4 + F7 * C3 + F8 * C2)
     for j in range(n):
-        if not scratch[18 * CHUNK + j] <= 1.0:
-            R = rotation(_matrix_3d(j, scratch))
+        if not scratch[_DOUBT * CHUNK + j] <= 1.0:
+            R = rotation(get_matrix(_F, j, scratch, (0, 0, 0)))
             for k in range(9):
-                scratch[(9 + k) * CHUNK + j] = R[k]
+                scratch[(_R + k) * CHUNK + j] = R[k]

@@ -16,21 +16,32 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from femdeform.jit import njit, prange
 from solvers.position_based.cell_algebra import combine, deformation, dot, load, mobility, spread, store, times
-from solvers.position_based.chunk_rotations import CHUNK, get, make_scratch, put, rotate, rotation_of
+from solvers.position_based.chunk_numbers import CHUNK, MATRIX, MOBILITY, get_matrix, get_mobility, make_scratch, put
+from solvers.position_based.chunk_rotations import FURTHER, rotate, rotation_of
 from solvers.position_based.constraints import (
     root_constraint,
-    rotation,
     shear_constraint,
     stiffnesses,
     volume_constraint,
 )
+from solvers.position_based.inlining import inlined
+
+# Rows of a chunk's scratch behind those of `chunk_rotations`: K, h^2 V, both multipliers, then M for XPBD; for B-PXPBD
+# zeta and the matrices r, `held` and `left`, see `project_blended`.
+_F = 0
+_K = FURTHER
+_SCALE = _K + MOBILITY
+_L = _SCALE + 1
+_M = _L + 2
+_XPBD_ROWS = _M + MATRIX
+_ZETA = _L + 2
+_RES, _HELD, _LEFT = _ZETA + 1, _ZETA + 1 + MATRIX, _ZETA + 1 + 2 * MATRIX
+_BLENDED_ROWS = _LEFT + MATRIX
 
 
-@njit
+@inlined
 def _step_length(C: Any, slope: Any, s: Any, multiplier: Any, rigid: Any) -> Any:
     """Change of the multiplier of a constraint with D : D K = slope."""
     if rigid:
@@ -89,32 +100,53 @@ def project_pairs(
     k1, k2 = stiffnesses(law)
     for c in prange((last - first + CHUNK - 1) // CHUNK):
         begin, n = first + c * CHUNK, min(CHUNK, last - first - c * CHUNK)
-        scratch = make_scratch(dim)
-        for j in range(n):
-            put(j, deformation(begin + j, 0, corners, gradients, dim, x), scratch)
-        if not reverse:
-            rotate(n, scratch, law, dim)
+        scratch = make_scratch(_XPBD_ROWS)
         for j in range(n):
             e = begin + j
-            F = get(j, scratch, dim)
-            K = mobility(e, corners, gradients, masks, dim, x)
-            scale = h2 * volumes[e]
-            M = combine(F, 0.0, F, 0.0)
-            for turn in range(2):
-                if (turn == 0) != reverse:
-                    R = rotation(F) if reverse else rotation_of(j, F, scratch, law)
-                    C, D = shear_constraint(F, R, law, epsilon)
-                    s, which = scale * k1, 0
-                else:
-                    C, D = volume_constraint(F, law)
-                    s, which = scale * k2, 1
-                if s > 0.0:
-                    DK = times(D, K)
-                    step = _step_length(C, dot(D, DK), s, multipliers[e, which], rigid)
-                    F = combine(F, 1.0, DK, step)
-                    M = combine(M, 1.0, D, step)
-                    multipliers[e, which] += step
-            spread(e, 0, 0.0, M, corners, gradients, masks, dim, x)
+            put(_K, j, mobility(e, corners, gradients, masks, dim, x), scratch)
+            put(_F, j, deformation(e, 0, corners, gradients, dim, x), scratch)
+            scratch[_SCALE * CHUNK + j] = h2 * volumes[e]
+            scratch[_L * CHUNK + j], scratch[(_L + 1) * CHUNK + j] = multipliers[e, 0], multipliers[e, 1]
+        for turn in range(2):
+            if (turn == 0) != reverse:
+                rotate(n, scratch, law, dim)
+                if k1 > 0.0:
+                    _meet_shear(n, k1, law, epsilon, rigid, masks, dim, scratch)
+            elif k2 > 0.0:
+                _meet_volume(n, k2, law, rigid, masks, dim, scratch)
+        for j in range(n):
+            e = begin + j
+            multipliers[e, 0], multipliers[e, 1] = scratch[_L * CHUNK + j], scratch[(_L + 1) * CHUNK + j]
+            spread(e, 0, 0.0, get_matrix(_M, j, scratch, dim), corners, gradients, masks, dim, x)
+
+
+@njit
+def _meet_shear(n: Any, k: Any, law: Any, epsilon: Any, rigid: Any, masks: Any, dim: Any, scratch: Any) -> None:
+    """XPBD's step of the first constraint of all cells of a chunk."""
+    for j in range(n):
+        F = get_matrix(_F, j, scratch, dim)
+        C, D = shear_constraint(F, rotation_of(j, F, scratch, law), law, epsilon)
+        _meet(j, _L, k, C, D, F, rigid, masks, dim, scratch)
+
+
+@njit
+def _meet_volume(n: Any, k: Any, law: Any, rigid: Any, masks: Any, dim: Any, scratch: Any) -> None:
+    """XPBD's step of the second constraint of all cells of a chunk."""
+    for j in range(n):
+        F = get_matrix(_F, j, scratch, dim)
+        C, D = volume_constraint(F, law)
+        _meet(j, _L + 1, k, C, D, F, rigid, masks, dim, scratch)
+
+
+@inlined
+def _meet(j: Any, row: Any, k: Any, C: Any, D: Any, F: Any, rigid: Any, masks: Any, dim: Any, scratch: Any) -> None:
+    """One step of XPBD on a constraint of a cell: F, M and the multiplier in that row change."""
+    DK = times(D, get_mobility(_K, j, scratch, masks, dim))
+    multiplier = scratch[row * CHUNK + j]
+    step = _step_length(C, dot(D, DK), scratch[_SCALE * CHUNK + j] * k, multiplier, rigid)
+    scratch[row * CHUNK + j] = multiplier + step
+    put(_F, j, combine(F, 1.0, DK, step), scratch)
+    put(_M, j, combine(get_matrix(_M, j, scratch, dim), 1.0, D, step), scratch)
 
 
 @njit(parallel=True)
@@ -182,71 +214,85 @@ def project_blended(
     k1, k2 = stiffnesses(law)
     for c in prange((last - first + CHUNK - 1) // CHUNK):
         begin, n = first + c * CHUNK, min(CHUNK, last - first - c * CHUNK)
-        scratch = make_scratch(dim)
-        states = np.empty((3 * CHUNK, len(dim) * len(dim)))
-        for j in range(n):
-            put(j, deformation(begin + j, 0, corners, gradients, dim, x), scratch)
-        rotate(n, scratch, law, dim)
+        scratch = make_scratch(_BLENDED_ROWS)
         for j in range(n):
             e = begin + j
-            F = get(j, scratch, dim)
+            F = deformation(e, 0, corners, gradients, dim, x)
             base = deformation(e, 4, corners, gradients, dim, x)
-            K = mobility(e, corners, gradients, masks, dim, x)
-            old = load(e, forces, dim)
-            C, D = shear_constraint(F, rotation_of(j, F, scratch, law), law, epsilon)
-            _, W = volume_constraint(F, law)
-            held = combine(D, multipliers[e, 0], W, multipliers[e, 1])
+            put(_K, j, mobility(e, corners, gradients, masks, dim, x), scratch)
+            put(_F, j, F, scratch)
             # r = b - x as sum r g^T; `left` w g is what is left of the changes of S by this visit.
-            left = combine(held, 1.0, old, -1.0)
-            R = combine(combine(base, 1.0, F, -1.0), 1.0, times(left, K), 1.0)
-            s, which = h2 * volumes[e] * k1, 0
-            F, R, held, left = _blend(e, which, s, C, D, F, R, held, left, K, zeta[e], keep, multipliers)
-            put(j, F, scratch)
-            store(3 * j, R, states)
-            store(3 * j + 1, held, states)
-            store(3 * j + 2, left, states)
+            put(_RES, j, combine(base, 1.0, F, -1.0), scratch)
+            put(_LEFT, j, load(e, forces, dim), scratch)
+            scratch[_SCALE * CHUNK + j], scratch[_ZETA * CHUNK + j] = h2 * volumes[e], zeta[e]
+            scratch[_L * CHUNK + j], scratch[(_L + 1) * CHUNK + j] = multipliers[e, 0], multipliers[e, 1]
         rotate(n, scratch, law, dim)
+        _blend_shear(n, k1, law, epsilon, keep, masks, dim, scratch)
+        rotate(n, scratch, law, dim)
+        _blend_volume(n, k2, law, epsilon, keep, masks, dim, scratch)
         for j in range(n):
             e = begin + j
-            F = get(j, scratch, dim)
-            K = mobility(e, corners, gradients, masks, dim, x)
-            R, held, left = load(3 * j, states, dim), load(3 * j + 1, states, dim), load(3 * j + 2, states, dim)
-            _, E = shear_constraint(F, rotation_of(j, F, scratch, law), law, epsilon)
-            C, D = volume_constraint(F, law)
-            change = combine(combine(E, multipliers[e, 0], D, multipliers[e, 1]), 1.0, held, -1.0)
-            held = combine(held, 1.0, change, 1.0)
-            left = combine(left, 1.0, change, 1.0)
-            R = combine(R, 1.0, times(change, K), 1.0)
-            s, which = h2 * volumes[e] * k2, 1
-            F, R, held, left = _blend(e, which, s, C, D, F, R, held, left, K, zeta[e], keep, multipliers)
+            multipliers[e, 0], multipliers[e, 1] = scratch[_L * CHUNK + j], scratch[(_L + 1) * CHUNK + j]
+            held, left = get_matrix(_HELD, j, scratch, dim), get_matrix(_LEFT, j, scratch, dim)
             change = combine(held, 1.0, load(e, forces, dim), -1.0)
+            store(e, held, forces)
             # x becomes b - r: b changes by w `change` g, and zeta^2 of the former r is left beside `left`.
             rest = zeta[e] * zeta[e]
             spread(e, 0, 1.0 - rest, combine(change, 1.0, left, -1.0), corners, gradients, masks, dim, x)
             spread(e, 4, 0.0, change, corners, gradients, masks, dim, x)
-            store(e, held, forces)
 
 
 @njit
+def _blend_shear(n: Any, k: Any, law: Any, epsilon: Any, keep: Any, masks: Any, dim: Any, scratch: Any) -> None:
+    """Replace what each cell of a chunk has in S, then the blended step of its first constraint."""
+    for j in range(n):
+        F, old = get_matrix(_F, j, scratch, dim), get_matrix(_LEFT, j, scratch, dim)
+        C, D = shear_constraint(F, rotation_of(j, F, scratch, law), law, epsilon)
+        _, W = volume_constraint(F, law)
+        held = combine(D, scratch[_L * CHUNK + j], W, scratch[(_L + 1) * CHUNK + j])
+        _blend(j, _L, k, C, D, F, held, combine(held, 1.0, old, -1.0), old, keep, masks, dim, scratch)
+
+
+@njit
+def _blend_volume(n: Any, k: Any, law: Any, epsilon: Any, keep: Any, masks: Any, dim: Any, scratch: Any) -> None:
+    """Replace what each cell has in S now that F has changed, then the blended step of its second constraint."""
+    for j in range(n):
+        F, old = get_matrix(_F, j, scratch, dim), get_matrix(_HELD, j, scratch, dim)
+        _, E = shear_constraint(F, rotation_of(j, F, scratch, law), law, epsilon)
+        C, D = volume_constraint(F, law)
+        held = combine(E, scratch[_L * CHUNK + j], D, scratch[(_L + 1) * CHUNK + j])
+        left = combine(combine(get_matrix(_LEFT, j, scratch, dim), 1.0, held, 1.0), 1.0, old, -1.0)
+        _blend(j, _L + 1, k, C, D, F, held, left, old, keep, masks, dim, scratch)
+
+
+@inlined
 def _blend(
-    e: Any,
-    which: Any,
-    s: Any,
+    j: Any,
+    row: Any,
+    k: Any,
     C: Any,
     D: Any,
     F: Any,
-    R: Any,
     held: Any,
     left: Any,
-    K: Any,
-    z: Any,
+    old: Any,
     keep: Any,
-    multipliers: Any,
-) -> Any:
-    """One blended step of a constraint: what F, r, the forces in S and the part of their change in r become."""
+    masks: Any,
+    dim: Any,
+    scratch: Any,
+) -> None:
+    """One blended step of a constraint: F, r, what the cell has in S, and the part of its change that is in r.
+
+    r first follows the replacement of `old` by `held`.
+    """
+    K, z = get_mobility(_K, j, scratch, masks, dim), scratch[_ZETA * CHUNK + j]
+    R = combine(get_matrix(_RES, j, scratch, dim), 1.0, times(combine(held, 1.0, old, -1.0), K), 1.0)
     DK = times(D, K)
     value = C + dot(D, R) if keep else C
-    step = _step_length(value, dot(D, DK), s, multipliers[e, which], False)
-    multipliers[e, which] += step
-    F = combine(combine(F, 1.0, DK, step), 1.0, R, 1.0 - z)
-    return F, combine(R, z, R, 0.0), combine(held, 1.0, D, step), combine(left, z, left, 0.0)
+    multiplier = scratch[row * CHUNK + j]
+    step = _step_length(value, dot(D, DK), scratch[_SCALE * CHUNK + j] * k, multiplier, False)
+    scratch[row * CHUNK + j] = multiplier + step
+    put(_F, j, combine(combine(F, 1.0, DK, step), 1.0, R, 1.0 - z), scratch)
+    put(_RES, j, combine(R, z, R, 0.0), scratch)
+    put(_HELD, j, combine(held, 1.0, D, step), scratch)
+    put(_LEFT, j, combine(left, z, left, 0.0), scratch)

@@ -34,6 +34,7 @@ from femdeform.materials.small_matrix import (
 )
 from femdeform.materials.stable_neo_hookean import StableNeoHookean
 from solvers.position_based.cell_algebra import cofactor, combine, determinant, dot
+from solvers.position_based.inlining import inlined_overload
 
 ROTATED = (FixedCorotated, ARAP)
 # Laws that are a pair of constraints, and those of them whose constraints vanish at rest.
@@ -115,7 +116,7 @@ def shear_constraint(F: Any, R: Any, law: Any, epsilon: Any) -> Any:
     raise NotImplementedError("compiled code only")
 
 
-@overload(shear_constraint)
+@inlined_overload(shear_constraint)
 def _shear_constraint(F: Any, R: Any, law: Any, epsilon: Any) -> Any:
     def rotated(F: Any, R: Any, law: Any, epsilon: Any) -> Any:
         E = combine(F, 1.0, R, -1.0)
@@ -136,7 +137,7 @@ def volume_constraint(F: Any, law: Any) -> Any:
     raise NotImplementedError("compiled code only")
 
 
-@overload(volume_constraint)
+@inlined_overload(volume_constraint)
 def _volume_constraint(F: Any, law: Any) -> Any:
     def rotated(F: Any, law: Any) -> Any:
         return determinant(F) - 1.0, cofactor(F)
@@ -187,7 +188,7 @@ def stress(F: Any, R: Any, law: Any) -> Any:
     raise NotImplementedError("compiled code only")
 
 
-@overload(stress)
+@inlined_overload(stress)
 def _stress(F: Any, R: Any, law: Any) -> Any:
     def rotated(F: Any, R: Any, law: Any) -> Any:
         E = combine(F, 1.0, R, -1.0)
@@ -207,7 +208,7 @@ def stress_model(F: Any, law: Any) -> Any:
     raise NotImplementedError("compiled code only")
 
 
-@overload(stress_model)
+@inlined_overload(stress_model)
 def _stress_model(F: Any, law: Any) -> Any:
     kind = law.instance_class
 
@@ -253,7 +254,7 @@ def identity(F: Any) -> Any:
     raise NotImplementedError("compiled code only")
 
 
-@overload(identity)
+@inlined_overload(identity)
 def _identity(F: Any) -> Any:
     def planar(F: Any) -> Any:
         return (1.0, 0.0, 0.0, 1.0)

@@ -14,11 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from femdeform.counting_sort import sort_by_number
 from femdeform.step_problem import LocalCells
 from femdeform.types import BoolArray, FloatArray, IntArray
 
 # Visits of a piece of work that one thread takes at a time.
 _CHUNK_VISITS = 2048
+# Visits, or cells, that are laid out at a time.
+_BATCH = 1 << 20
 
 Indices = np.ndarray[Any, np.dtype[np.uint32]]
 
@@ -101,7 +104,7 @@ class Visits:
     others : (dim, n_visits) uint32
         Three times the places of the other nodes of the cell, ordered so that their volume is positive.
     gradients : (dim * dim, n_visits)
-        grad N of the node and of the others but the last, row by row [1/m].
+        grad N of the node and of the others but the last, row by row [1/m]; (dim * dim, 0) where they are not wanted.
     volumes : (n_visits,)
         Rest volume of the cell [m^3].
     """
@@ -123,30 +126,36 @@ def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradie
     """Lay out the visits to the cells of one law in one precision, the gradients left empty if not wanted."""
     from femdeform.materials import with_precision
 
-    corners = numbering.place[cells.cells]
-    n_corners = corners.shape[1]
+    n_corners = cells.cells.shape[1]
     dim = n_corners - 1
-    n_moving = int(numbering.color_offsets[-1])
-    flat = corners.ravel()
-    moving = np.flatnonzero(flat < n_moving)
-    visits = moving[np.argsort(flat[moving], kind="stable")]
-    cell, corner = visits // n_corners, visits % n_corners
-    nodes, counts = np.unique(flat[visits], return_counts=True)
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    other = _OTHERS[n_corners][corner]
-    gradients = np.empty((0, dim * dim))
-    if with_gradients:
-        kept = np.concatenate([corner[:, None], other[:, :-1]], axis=1)
-        gradients = cells.gradients[cell[:, None], kept].reshape(-1, dim * dim)
+    corners = numbering.place.astype(np.uint32)[cells.cells]
+    entries, starts = sort_by_number(corners.ravel(), numbering.order.size)
+    # Nodes that never move come last, and so do their visits.
+    starts = starts[: int(numbering.color_offsets[-1]) + 1]
+    visits = entries[: starts[-1]]
+    nodes = np.flatnonzero(np.diff(starts))
+    offsets = np.append(starts[nodes], starts[-1]).astype(np.int64)
+    others = np.empty((dim, visits.size), dtype=np.uint32)
+    gradients = np.empty((dim * dim, visits.size if with_gradients else 0), dtype=dtype)
+    volumes = np.empty(visits.size, dtype=dtype)
+    for first in range(0, visits.size, _BATCH):
+        part = slice(first, min(first + _BATCH, visits.size))
+        cell, corner = visits[part] // n_corners, visits[part] % n_corners
+        other = _OTHERS[n_corners][corner]
+        others[:, part] = 3 * corners[cell[:, None], other].T
+        volumes[part] = cells.volumes[cell]
+        if with_gradients:
+            kept = np.concatenate([corner[:, None], other[:, :-1]], axis=1)
+            gradients[:, part] = cells.gradients[cell[:, None], kept].reshape(-1, dim * dim).T
     rows = np.searchsorted(nodes, numbering.color_offsets)
     return Visits(
         with_precision(cells.law, dtype),
         nodes.astype(np.uint32),
         offsets,
         [_split(offsets, int(a), int(b)) for a, b in itertools.pairwise(rows)],
-        np.ascontiguousarray((3 * corners[cell[:, None], other]).T.astype(np.uint32)),
-        np.ascontiguousarray(gradients.T.astype(dtype)),
-        cells.volumes[cell].astype(dtype),
+        others,
+        gradients,
+        volumes,
     )
 
 
@@ -186,12 +195,17 @@ def laplacian(cells: LocalCells, numbering: Numbering, nodes: Indices, dtype: An
     """Sum the Laplacian of a law's cells; `nodes` are the rows of its `Visits`."""
     import scipy.sparse
 
-    corners = numbering.place[cells.cells]
+    place = numbering.place.astype(np.int32)
     n = numbering.order.size
-    blocks = np.einsum("e,eai,ebi->eab", cells.volumes, cells.gradients, cells.gradients)
-    rows = np.broadcast_to(corners[:, :, None], blocks.shape).ravel()
-    columns = np.broadcast_to(corners[:, None, :], blocks.shape).ravel()
-    matrix = scipy.sparse.csr_matrix((blocks.ravel(), (rows, columns)), shape=(n, n))
+    matrix = scipy.sparse.csr_matrix((n, n))
+    for first in range(0, len(cells.cells), _BATCH):
+        part = slice(first, first + _BATCH)
+        blocks = np.einsum("e,eai,ebi->eab", cells.volumes[part], cells.gradients[part], cells.gradients[part])
+        corners = place[cells.cells[part]]
+        rows = np.broadcast_to(corners[:, :, None], blocks.shape).ravel()
+        columns = np.broadcast_to(corners[:, None, :], blocks.shape).ravel()
+        some = scipy.sparse.csr_matrix((blocks.ravel(), (rows, columns)), shape=(n, n))
+        matrix = some if first == 0 else matrix + some
     diagonal = matrix.diagonal()[nodes]
     matrix.setdiag(0.0)
     matrix.sum_duplicates()

@@ -35,17 +35,30 @@ from solvers.position_based.cell_algebra import (
     store,
     times,
 )
-from solvers.position_based.chunk_rotations import CHUNK, get, make_scratch, put, rotate, rotation_of
+from solvers.position_based.chunk_numbers import CHUNK, MATRIX, MOBILITY, get_matrix, get_mobility, make_scratch, put
+from solvers.position_based.chunk_rotations import FURTHER, rotate, rotation_of
 from solvers.position_based.constraints import stress, stress_model
+from solvers.position_based.inlining import inlined
 from solvers.position_based.obstacle_kernels import step_in_contact
 
 # Halvings of a cell's step after which it waits for its neighbours.
 _HALVINGS = 20
 # Part of the energies of a cell that is rounding.
 _ROUNDING = 1e-15
+# Rows of a chunk's scratch behind those of `chunk_rotations`: K, s, B, the stress reached, the share that the former
+# positions have; with a line search how far those are from the base points, and the same as a matrix.
+_F = 0
+_K = FURTHER
+_S = _K + MOBILITY
+_B = _S + 1
+_REACHED = _B + MATRIX
+_PART = _REACHED + MATRIX
+_FAR = _PART + 1
+_Q = _FAR + 1
+_ROWS = _Q + MATRIX
 
 
-@njit
+@inlined
 def model_step(F: Any, P: Any, R: Any, K: Any, s: Any, law: Any) -> Any:
     """dF and the stress at its end, with the definite model of the tangent."""
     a, c, W = stress_model(F, law)
@@ -154,54 +167,87 @@ def relax_cells(
     for c in prange((last - first + CHUNK - 1) // CHUNK):
         begin, n = first + c * CHUNK, min(CHUNK, last - first - c * CHUNK)
         H, A, r = np.empty((size, size)), np.empty((size, size)), np.empty((2, size))
-        scratch = make_scratch(dim)
-        states = np.zeros((3 * CHUNK, len(dim) * len(dim)))
-        parts = np.ones((CHUNK, 2))
+        scratch = make_scratch(_ROWS)
         for j in range(n):
             e = begin + j
             s = h2 * volumes[e]
             F = deformation(e, 0, corners, gradients, dim, x)
-            held = load(e, stresses, dim)
+            base = deformation(e, 4, corners, gradients, dim, x)
             K = mobility(e, corners, gradients, masks, dim, x)
-            B = combine(deformation(e, 4, corners, gradients, dim, x), 1.0, times(held, K), s)
-            put(j, F, scratch)
-            store(3 * j, B, states)
+            held = load(e, stresses, dim)
+            B = combine(base, 1.0, times(held, K), s)
+            put(_F, j, F, scratch)
+            put(_K, j, K, scratch)
+            put(_B, j, B, scratch)
+            scratch[_S * CHUNK + j], scratch[_PART * CHUNK + j] = s, 1.0
             if search:
-                store(3 * j + 2, combine(F, 1.0, B, -1.0), states)
-                parts[j, 1] = misfit(e, s, held, corners, gradients, masks, dim, x)
+                put(_Q, j, combine(F, 1.0, B, -1.0), scratch)
+                scratch[_FAR * CHUNK + j] = misfit(e, s, held, corners, gradients, masks, dim, x)
         for _ in range(local):
             rotate(n, scratch, law, dim)
-            for j in range(n):
-                e = begin + j
-                s = h2 * volumes[e]
-                F = get(j, scratch, dim)
-                K = mobility(e, corners, gradients, masks, dim, x)
-                B, reached = load(3 * j, states, dim), load(3 * j + 1, states, dim)
-                P = stress(F, rotation_of(j, F, scratch, law), law)
-                R = combine(combine(B, 1.0, F, -1.0), 1.0, times(P, K), -s)
-                if exact:
-                    dF, ahead = exact_step(F, P, R, K, s, law, dim, H, A, r)
-                else:
-                    dF, ahead = model_step(F, P, R, K, s, law)
-                t = 1.0
-                if search:
-                    Q = load(3 * j + 2, states, dim)
-                    t = _admissible(parts[j, 0], reached, ahead, F, dF, parts[j, 1], Q, K, s, law)
-                parts[j, 0] *= 1.0 - t
-                store(3 * j + 1, combine(reached, 1.0 - t, ahead, t), states)
-                put(j, combine(F, 1.0, dF, t), scratch)
+            if exact or search:
+                _careful_steps(n, exact, search, law, masks, dim, scratch, H, A, r)
+            else:
+                _model_steps(n, law, masks, dim, scratch)
         rotate(n, scratch, law, dim)
+        _take_stresses(n, law, dim, scratch)
         for j in range(n):
             e = begin + j
-            s = h2 * volumes[e]
-            F = get(j, scratch, dim)
-            held, reached = load(e, stresses, dim), load(3 * j + 1, states, dim)
-            P = stress(F, rotation_of(j, F, scratch, law), law)
-            part = parts[j, 0]
+            s, part = scratch[_S * CHUNK + j], scratch[_PART * CHUNK + j]
+            held, reached = load(e, stresses, dim), get_matrix(_REACHED, j, scratch, dim)
+            P = get_matrix(_B, j, scratch, dim)
             move = combine(held, s * (1.0 - part), reached, -s)
             spread(e, 0, 1.0 - part, move, corners, gradients, masks, dim, x)
             spread(e, 4, 0.0, combine(held, s, P, -s), corners, gradients, masks, dim, x)
             store(e, P, stresses)
+
+
+@inlined
+def _residual(j: Any, F: Any, P: Any, K: Any, s: Any, dim: Any, scratch: Any) -> Any:
+    """``B - F - s P K`` of a cell."""
+    return combine(combine(get_matrix(_B, j, scratch, dim), 1.0, F, -1.0), 1.0, times(P, K), -s)
+
+
+@njit
+def _model_steps(n: Any, law: Any, masks: Any, dim: Any, scratch: Any) -> None:
+    """A whole step with the model of the tangent for all cells of a chunk."""
+    for j in range(n):
+        F, K, s = get_matrix(_F, j, scratch, dim), get_mobility(_K, j, scratch, masks, dim), scratch[_S * CHUNK + j]
+        P = stress(F, rotation_of(j, F, scratch, law), law)
+        dF, ahead = model_step(F, P, _residual(j, F, P, K, s, dim, scratch), K, s, law)
+        scratch[_PART * CHUNK + j] = 0.0
+        put(_REACHED, j, ahead, scratch)
+        put(_F, j, combine(F, 1.0, dF, 1.0), scratch)
+
+
+@njit
+def _careful_steps(
+    n: Any, exact: Any, search: Any, law: Any, masks: Any, dim: Any, scratch: Any, H: Any, A: Any, r: Any
+) -> None:
+    """A step for all cells of a chunk, with the exact tangent, or halved where the energy rises, or both."""
+    for j in range(n):
+        F, K, s = get_matrix(_F, j, scratch, dim), get_mobility(_K, j, scratch, masks, dim), scratch[_S * CHUNK + j]
+        P = stress(F, rotation_of(j, F, scratch, law), law)
+        R = _residual(j, F, P, K, s, dim, scratch)
+        if exact:
+            dF, ahead = exact_step(F, P, R, K, s, law, dim, H, A, r)
+        else:
+            dF, ahead = model_step(F, P, R, K, s, law)
+        part, reached, t = scratch[_PART * CHUNK + j], get_matrix(_REACHED, j, scratch, dim), 1.0
+        if search:
+            far, Q = scratch[_FAR * CHUNK + j], get_matrix(_Q, j, scratch, dim)
+            t = _admissible(part, reached, ahead, F, dF, far, Q, K, s, law)
+        scratch[_PART * CHUNK + j] = part * (1.0 - t)
+        put(_REACHED, j, combine(reached, 1.0 - t, ahead, t), scratch)
+        put(_F, j, combine(F, 1.0, dF, t), scratch)
+
+
+@njit
+def _take_stresses(n: Any, law: Any, dim: Any, scratch: Any) -> None:
+    """P(F) of all cells of a chunk, in place of B."""
+    for j in range(n):
+        F = get_matrix(_F, j, scratch, dim)
+        put(_B, j, stress(F, rotation_of(j, F, scratch, law), law), scratch)
 
 
 @njit

@@ -31,9 +31,7 @@ class UniaxialState:
     stress: float
 
 
-def uniaxial_stretch(
-    law: str, youngs_modulus: float, poisson_ratio: float, stretch: float, dim: int
-) -> UniaxialState:
+def uniaxial_stretch(law: str, youngs_modulus: float, poisson_ratio: float, stretch: float, dim: int) -> UniaxialState:
     """State of a bar between rollers, pulled to a stretch.
 
     Parameters

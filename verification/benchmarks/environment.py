@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from femdeform.errors import InputError
 
 CELLS_VARIABLE = "FEMDEFORM_BENCH_CELLS"
+ONLY_VARIABLE = "FEMDEFORM_BENCH_ONLY"
 
 
 def chosen_cells() -> int | None:
@@ -24,6 +25,15 @@ def chosen_cells() -> int | None:
     if not (text.isascii() and text.isdigit() and int(text) >= 2):
         raise InputError(f"{CELLS_VARIABLE}: expected a whole number of at least 2, got {text!r}")
     return int(text)
+
+
+def is_wanted(case: str) -> bool:
+    """Whether a case is to run: all of them, or those whose name has one of the texts of FEMDEFORM_BENCH_ONLY in it.
+
+    The texts are separated by semicolons.
+    """
+    texts = [text.strip() for text in os.environ.get(ONLY_VARIABLE, "").split(";") if text.strip()]
+    return not texts or any(text in case for text in texts)
 
 
 def has_petsc() -> bool:

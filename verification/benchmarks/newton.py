@@ -170,9 +170,7 @@ def _ksp(preset: str) -> dict[str, Any]:
     return {"method": "ksp", "preset": preset}
 
 
-def _iteration(
-    cells: int, quasistatic: bool, linear_solver: dict[str, Any], threads: int, ranks: int = 1
-) -> Outcome:
+def _iteration(cells: int, quasistatic: bool, linear_solver: dict[str, Any], threads: int, ranks: int = 1) -> Outcome:
     case = {"kind": "iteration", "cells": cells, "quasistatic": quasistatic, "linear_solver": linear_solver}
     launcher = ["mpiexec", "-n", str(ranks)] if ranks > 1 else []
     return child_process.run_module(_CASE, case, threads, launcher)

@@ -223,61 +223,6 @@ def convergence(case: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def budgets(case: dict[str, Any]) -> dict[str, Any]:
-    """Compare PBNG with Newton of a fixed number of CG iterations, in the time that so many sweeps take.
-
-    Parameters
-    ----------
-    case : dict
-        ``cells``, ``law``, ``sweeps`` with the number of CG iterations beside each, ``linear_solver``.
-
-    Returns
-    -------
-    dict
-        ``rows``: for each number of sweeps and method seconds, iterations, relative residual and the part of the energy
-        to be lost that is still there.
-    """
-
-    def take(simulation: Simulation, seconds: float | None = None) -> tuple[Any, float]:
-        problem, taken = simulation.problem, 0.0
-        for _ in range(2):
-            simulation.solver.reset()
-            problem.begin_step(simulation.state, simulation.scene.time.dt)
-            budget = Budget(seconds=seconds)
-            budget.start()
-            answer = simulation.solver.step(problem, simulation.state, None, budget)
-            taken = budget.elapsed()
-        return answer, taken
-
-    cells, law = case["cells"], case["law"]
-    reference = block(cells, law, "twist", {"method": "pbng", "tolerance": 1e-9}, None)
-    end, _ = take(reference)
-    problem = reference.problem
-    least, most = problem.value(end.x), problem.value(problem.initial_guess(reference.state))
-    rows = []
-    for sweeps, linear in case["sweeps"]:
-        plain = {"method": "pbng", "acceleration": "none", "iterations": sweeps, "check_every": sweeps}
-        result, seconds = take(block(cells, law, "twist", plain, None))
-        found = {"pbng": (result, seconds)}
-        options = {**case["linear_solver"].get("options", {}), "ksp_max_it": linear, "ksp_convergence_test": "skip"}
-        limited = {**case["linear_solver"], "options": options}
-        newton = {"method": "projected_newton", "hessian": "projected", "tolerance": 1e-9}
-        found["newton"] = take(block(cells, law, "twist", newton, limited), seconds)
-        for method, (answer, taken) in found.items():
-            rows.append(
-                {
-                    "sweeps": sweeps,
-                    "linear": linear,
-                    "method": method,
-                    "seconds": taken,
-                    "iterations": answer.iterations,
-                    "residual": answer.relative_residual,
-                    "energy": (problem.value(answer.x) - least) / (most - least),
-                }
-            )
-    return {"threads": jit.set_threads(), "rows": rows}
-
-
 def dump(case: dict[str, Any]) -> dict[str, Any]:
     """Write the block for a peer, and time our own sweeps of a step in dynamics with the same mesh and numbers."""
     simulation = block(case["cells"], "neo_hookean", "stretch", {"method": "pbng"}, None)
@@ -310,7 +255,6 @@ KINDS: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "sweep": sweep,
     "bandwidth": bandwidth,
     "convergence": convergence,
-    "budgets": budgets,
     "dump": dump,
 }
 

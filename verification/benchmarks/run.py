@@ -49,6 +49,7 @@ BENCHMARKS: dict[str, str] = {
     "newton": "verification.benchmarks.newton:run_newton",
     "mixed": "verification.benchmarks.mixed:run_mixed",
     "pbng": "verification.benchmarks.pbng:run_pbng",
+    "xpbd": "verification.benchmarks.xpbd:run_xpbd",
 }
 
 
@@ -116,10 +117,7 @@ def check_names(names: Sequence[str]) -> list[str]:
         from femdeform.errors import Fault
 
         raise InputError(
-            [
-                Fault("", 0, "bench", f"unknown benchmark `{name}`; {did_you_mean(name, BENCHMARKS)}")
-                for name in unknown
-            ]
+            [Fault("", 0, "bench", f"unknown benchmark `{name}`; {did_you_mean(name, BENCHMARKS)}") for name in unknown]
         )
     return list(dict.fromkeys(names)) or list(BENCHMARKS)
 

@@ -12,7 +12,7 @@ from scipy.linalg import svd
 from femdeform.jit import njit
 from femdeform.materials import LAWS, law_class
 from femdeform.materials.dispatch import energy_density, pk1, tangent
-from solvers.position_based import cell_algebra, chunk_rotations, constraints, piola_kernels
+from solvers.position_based import cell_algebra, chunk_numbers, chunk_rotations, constraints, piola_kernels
 
 Array = NDArray[np.float64]
 MU, LMBDA = 3.0, 7.0
@@ -51,13 +51,13 @@ def rotation(F: Any) -> Any:
 @njit
 def chunk_of_rotations(Fs: Any, law: Any, dim: Any) -> Any:
     """Rotations of up to `CHUNK` matrices, rows of Fs, by way of a chunk's scratch."""
-    scratch = chunk_rotations.make_scratch(dim)
+    scratch = chunk_numbers.make_scratch(chunk_rotations.FURTHER)
     for j in range(len(Fs)):
-        chunk_rotations.put(j, cell_algebra.load(j, Fs, dim), scratch)
+        chunk_numbers.put(0, j, cell_algebra.load(j, Fs, dim), scratch)
     chunk_rotations.rotate(len(Fs), scratch, law, dim)
     out = np.empty_like(Fs)
     for j in range(len(Fs)):
-        F = chunk_rotations.get(j, scratch, dim)
+        F = chunk_numbers.get_matrix(0, j, scratch, dim)
         cell_algebra.store(j, chunk_rotations.rotation_of(j, F, scratch, law), out)
     return out
 
@@ -186,7 +186,7 @@ def test_rotations_of_a_chunk_are_those_of_its_cells(dim: int) -> None:
     """Small strains, which the steps made for all settle, among large ones and mirrored cells, which they do not."""
     rng = np.random.default_rng(2)
     law = make("fixed_corotated", dim)
-    Fs = [closest_rotation(rng.standard_normal((dim, dim))) for _ in range(chunk_rotations.CHUNK - 3)]
+    Fs = [closest_rotation(rng.standard_normal((dim, dim))) for _ in range(chunk_numbers.CHUNK - 3)]
     Fs = [
         Q @ (np.eye(dim) + a * rng.standard_normal((dim, dim))) for Q, a in zip(Fs, np.linspace(0, 2, 61), strict=True)
     ]

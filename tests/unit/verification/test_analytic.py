@@ -274,9 +274,7 @@ def test_a_pressure_beyond_equilibrium_is_bad_input() -> None:
          ("conditions[0].angular_velocity=[1.0, 0.0, 0.0]",), "about z"),
     ],
 )  # fmt: skip
-def test_a_scene_of_another_kind_is_bad_input(
-    name: str, path: str, overrides: tuple[str, ...], message: str
-) -> None:
+def test_a_scene_of_another_kind_is_bad_input(name: str, path: str, overrides: tuple[str, ...], message: str) -> None:
     more = {"radius": 1.0} if name == "lame_displacement" else {}
     with pytest.raises(InputError, match=message):
         ANALYTIC[name](scene_of(path, *overrides), **more)

@@ -5,12 +5,10 @@ Run by the Python of the environment with the peers: ``python newton_vbd.py CASE
 
 from __future__ import annotations
 
-import json
-import sys
 import time
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
+
+from newton_block import make_block, serve
 
 _FEW, _MANY, _REPETITIONS = 1, 11, 5
 
@@ -30,28 +28,7 @@ def compare(block: Any) -> dict[str, Any]:
 
     from verification.benchmarks.measure import summary
 
-    wp.config.quiet = True
-    builder = newton.ModelBuilder(up_axis=newton.Axis.Y)
-    points = block["points"]
-    builder.add_soft_mesh(
-        pos=wp.vec3(0.0, 0.0, 0.0),
-        rot=wp.quat_identity(),
-        scale=1.0,
-        vel=wp.vec3(0.0, 0.0, 0.0),
-        vertices=[wp.vec3(*point) for point in points],
-        indices=block["cells"].ravel().astype(int).tolist(),
-        density=float(block["density"]),
-        k_mu=float(block["mu"]),
-        k_lambda=float(block["lmbda"]),
-        k_damp=0.0,
-        add_surface_mesh_edges=False,
-        validate_mesh=False,
-    )
-    builder.color()
-    colors = len(builder.particle_color_groups)
-    for node in np.flatnonzero(points[:, 0] == 0.0):
-        builder.particle_mass[int(node)] = 0.0
-    model = builder.finalize(device="cpu")
+    model, colors = make_block(block, colored=True)
     start, end, control = model.state(), model.state(), model.control()
 
     def step(iterations: int) -> float:
@@ -69,6 +46,7 @@ def compare(block: Any) -> dict[str, Any]:
         raise RuntimeError("its positions are not finite")
     return {
         "iteration": summary(times),
+        "threads": 1,
         "colors": colors,
         "notes": [
             f"version {newton.__version__} on Warp {wp.__version__}: stable neo-Hookean, float32, one thread, "
@@ -78,14 +56,4 @@ def compare(block: Any) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    # Behind everything else, so that nothing of this environment is hidden.
-    sys.path.append(str(Path(__file__).resolve().parents[3]))
-    answer: dict[str, Any]
-    if find_spec("newton") is None or find_spec("warp") is None:
-        answer = {"skipped": "Newton and Warp are not in the environment with the peers"}
-    else:
-        import numpy as np
-
-        with np.load(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))["block"]) as arrays:
-            answer = compare(arrays)
-    Path(sys.argv[2]).write_text(json.dumps(answer), encoding="utf-8")
+    serve(compare)
