@@ -6,7 +6,6 @@ Backward Euler: ``Phi(x) = 1/(2 h^2) |x - x_hat|_M^2 + PE(x) - f.x`` with ``x_ha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -28,8 +27,6 @@ from femdeform.types import FloatArray
 
 # A state whose forces are below this multiple of what rounding may leave is at rest.
 _REST = 100.0
-# Forces at rest that are a smaller part than this of those in motion may be rounding.
-_FAINT = 1e-6
 
 
 @dataclass
@@ -132,7 +129,6 @@ class IncrementalPotential:
         self.dt = 1.0
         self.time = 0.0
         self.force_scale = 1.0
-        self._largest_scale = math.inf
         self.value_magnitude = 0.0
         self.load = np.zeros((n, self.dim))
         self._x_hat = np.zeros((n, self.dim))
@@ -498,22 +494,8 @@ class IncrementalPotential:
 
     def settle_force_scale(self, x: FloatArray) -> None:
         """Take the forces at the first iterate, reactions included, as R0 if the last state has none but rounding."""
-        if self._rows is not None or self._values is not None:
-            rounding = self.roundoff_norm(x)
-        else:
-            rounding = self._roundoff_at_start() if self.force_scale < _FAINT * self._largest_scale else 0.0
-        if self.force_scale <= _REST * rounding:
+        if self.force_scale <= _REST * self.roundoff_norm(x):
             self.force_scale = self.partition.norm(self.full_gradient(x))
-        self._largest_scale = max(self.force_scale, self._largest_scale if math.isfinite(self._largest_scale) else 0.0)
-
-    def _roundoff_at_start(self) -> float:
-        """`roundoff_norm` of the last state, for methods that make no Hessian: what the last digits of x do."""
-        size = self.partition.max(float(np.abs(self._reference).max(initial=0.0)))
-        step = np.random.default_rng(0).choice((-1.0, 1.0), self._reference.shape)
-        shaken = self._reference + 4.0 * np.finfo(float).eps * size * step
-        self.partition.update_ghosts(shaken)
-        difference = self.internal_forces(shaken, links=False) - self.internal_forces(self._reference, links=False)
-        return self.partition.norm(difference)
 
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone can leave at `x` [N]: no solver can be asked for less."""
