@@ -324,9 +324,7 @@ def discretize(
                 elements = _codimensional_elements(body.mesh, body.measure, mine)
             numbers = to_local[nodes_of[name].first + elements.connectivity]
             groups.append(
-                ElementGroup(
-                    name, body.kind, law, numbers.astype(np.int32), elements.gradients, elements.weights, mine
-                )
+                ElementGroup(name, body.kind, law, numbers.astype(np.int32), elements.gradients, elements.weights, mine)
             )
             mass = density * elements.mass
             if body.consistent_mass:

@@ -152,9 +152,7 @@ class Stage:
             options = {**options, "show_scalar_bar": False}
         if 0 < surface.n_faces < MAX_FACES_WITH_EDGES:
             edges = self._mesh(frame, surface.edges, with_faces=False)
-            self.plotter.add_mesh(
-                edges, color="#101820", opacity=0.28, line_width=1.0 * self._scale, lighting=False
-            )
+            self.plotter.add_mesh(edges, color="#101820", opacity=0.28, line_width=1.0 * self._scale, lighting=False)
             self._meshes.append((edges, surface.edges, False))
         self._add_reference(frame)
         if not self._bare:
@@ -168,9 +166,7 @@ class Stage:
             bar.SetVerticalTitleSeparation(round(10 * self._scale))
         title = self._title()
         if title:
-            self.plotter.add_text(
-                title, position=(0.03, 0.93), viewport=True, font_size=self._font(16), color=_TEXT
-            )
+            self.plotter.add_text(title, position=(0.03, 0.93), viewport=True, font_size=self._font(16), color=_TEXT)
         self.plotter.add_axes(viewport=(0.84, 0.0, 1.0, 0.2), line_width=2, color=_TEXT)
 
     def _mesh(self, frame: Frame, part: Part, *, with_faces: bool) -> Any:
@@ -240,12 +236,8 @@ class Stage:
                 self.plotter.add_mesh(mesh, color=_OUTLINE, line_width=width, lighting=False)
         if self._setting.dim == 3 and surface.n_faces:
             # Round bodies have no sharp edges: what outlines them depends on where one looks from.
-            shape = self.pyvista.PolyData.from_regular_faces(
-                frame.points[surface.faces.nodes], surface.faces.cells
-            )
-            self.plotter.add_silhouette(
-                shape.clean(), color=_OUTLINE, line_width=width
-            )
+            shape = self.pyvista.PolyData.from_regular_faces(frame.points[surface.faces.nodes], surface.faces.cells)
+            self.plotter.add_silhouette(shape.clean(), color=_OUTLINE, line_width=width)
 
     def _show_obstacles(self, time: float) -> None:
         if not self._obstacles:
