@@ -1,4 +1,4 @@
-"""Nodes that stiff weak constraints couple, moved together by one step of Newton's method.
+"""Nodes that stiff weak constraints or contact couple, moved together by one step of Newton's method.
 
 One of them alone cannot move: its row pulls it back. So all nodes of stiff rows are one block of the sweep, whatever
 the kind of their rows is. The block's matrix is the projected Hessian of the cells, rows, obstacles and inertia around
@@ -76,14 +76,14 @@ class StiffBlock:
     Parameters
     ----------
     problem : LocalStepProblem
+        Its contact by weak constraints is taken in: rows may change from step to step, as long as their nodes that move
+        are among `nodes`.
     groups : sequence of LocalCells
         All cells.
-    links : WeakConstraints
-        All rows.
     place : (n_nodes,) int64
         Place of each node in the sweep.
-    first, last : int
-        Places of the nodes of the block.
+    nodes : (n_block,) int64
+        Nodes of the block.
 
     Limitations
     -----------
@@ -91,48 +91,60 @@ class StiffBlock:
     """
 
     def __init__(
-        self,
-        problem: LocalStepProblem,
-        groups: Sequence[LocalCells],
-        links: WeakConstraints,
-        place: IntArray,
-        first: int,
-        last: int,
+        self, problem: LocalStepProblem, groups: Sequence[LocalCells], place: IntArray, nodes: IntArray
     ) -> None:
         n_nodes, self.dim = problem.points.shape
-        self.first, self.last = first, last
+        self.nodes = nodes
+        self._places = place[nodes]
         self._place = place
-        self._is_mine = (place >= first) & (place < last)
-        order = np.argsort(place)
-        self._nodes = order[first:last]
-        self._cells = [ElasticEnergy(_around(group, self._is_mine)) for group in groups]
-        self._cells = [term for term in self._cells if len(term.cells)]
-        self._contacts: list[Any] = []
-        self._free = problem.free[self._nodes]
+        self._is_mine = np.zeros(n_nodes, dtype=bool)
+        self._is_mine[nodes] = True
+        self._free = problem.free[nodes]
         dofs = np.full((n_nodes, self.dim), -1, dtype=np.int64)
-        dofs[self._nodes] = np.where(self._free, np.cumsum(self._free).reshape(self._free.shape) - 1, -1)
+        dofs[nodes] = np.where(self._free, np.cumsum(self._free).reshape(self._free.shape) - 1, -1)
         self._size = int(np.count_nonzero(self._free))
         self._dofs = dofs
-        self._terms: list[CellTerm] = [*self._cells, *links.terms]
-        self._entries = [_Entries(term.cells, dofs) for term in self._terms]
+        cells = [ElasticEnergy(_around(group, self._is_mine)) for group in groups]
+        self._cells = [term for term in cells if len(term.cells)]
+        self._held: list[CellTerm] = [] if problem.links is None else problem.links.terms
+        self._entries = [_Entries(term.cells, dofs) for term in (*self._cells, *self._held)]
+        self._terms: list[CellTerm] = []
+        self._contact: Any = None
+        self._contact_entries: list[_Entries] = []
+        self._obstacles: list[Any] = []
         self._x = problem.points.copy()
-        near = self._is_mine.copy()
-        for term in self._terms:
-            near[term.cells] = True
-        self._near = np.flatnonzero(near)
+        self._near = nodes
+        self._slots = np.empty((0, self.dim))
+        self._order = self._starts = np.empty(0, dtype=np.int64)
         self._factor: Any = None
         self._touching = np.empty(0)
+        self._pushing = np.empty(0, dtype=bool)
         self._weights = np.empty(0)
         self._centers = np.empty((0, self.dim))
 
     def begin_step(self, problem: LocalStepProblem) -> None:
-        """Take over inertia and obstacles of the step begun."""
-        terms = problem.nodal_terms()
-        self._weights, self._centers = terms.weights[self._nodes], terms.centers[self._nodes]
-        self._contacts = [contact for contact in problem.node_contacts() if self._is_mine[contact.nodes].any()]
+        """Take over inertia, obstacles and contact rows of the step begun."""
+        inertia = problem.nodal_terms()
+        self._weights, self._centers = inertia.weights[self.nodes], inertia.centers[self.nodes]
+        self._obstacles = [contact for contact in problem.node_contacts() if self._is_mine[contact.nodes].any()]
+        self._terms = [*self._cells, *self._held]
+        self._contact, self._contact_entries = None, []
+        if problem.weak_contact is not None and len(problem.weak_contact.cells):
+            self._contact = problem.weak_contact
+            self._terms.append(self._contact)
+            self._contact_entries = [_Entries(self._contact.cells, self._dofs)]
+        # Where the forces of terms on the nodes of the block are, node by node.
+        every = np.concatenate([term.cells.ravel() for term in self._terms])
+        self._slots = np.empty((every.size, self.dim))
+        mine = np.flatnonzero(self._is_mine[every])
+        rank = np.full(len(self._x), -1, dtype=np.int64)
+        rank[self.nodes] = np.arange(len(self.nodes))
+        self._order = mine[np.argsort(rank[every[mine]], kind="stable")]
+        counts = np.bincount(rank[every[mine]], minlength=len(self.nodes))
+        self._starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)
         near = np.zeros(len(self._x), dtype=bool)
-        near[self._near] = True
-        for contact in self._contacts:
+        near[every] = True
+        for contact in self._obstacles:
             near[contact.nodes] = True
         self._near = np.flatnonzero(near)
         self.renew()
@@ -141,33 +153,34 @@ class StiffBlock:
         """Let the matrix be made anew at the next move."""
         self._factor = None
 
-    def move(self, flat: FloatArray, forces: FloatArray, loads: FloatArray) -> None:
+    def move(self, flat: FloatArray, all_loads: FloatArray) -> None:
         """Move the block.
 
         Parameters
         ----------
         flat : (3 n_nodes,)
             Positions by place [m]; changed.
-        forces : (n_block, dim) float64
-            Of cells and rows at the nodes of the block [N].
-        loads : (n_block, dim) float64
-            Dead loads and pressure there [N].
+        all_loads : (3 n_nodes,)
+            Dead loads and pressure by place [N].
         """
         x, place = self._x, self._place
         table = flat.reshape(-1, 3)
+        loads = all_loads.reshape(-1, 3)[self._places, : self.dim].astype(np.float64)
         x[self._near] = table[place[self._near], : self.dim]
-        here = x[self._nodes]
-        slope = forces + loads + self._weights[:, None] * (self._centers - here)
-        touching = np.zeros((len(x), self.dim**2))
-        if self._contacts:
-            push = np.zeros_like(x)
-            for contact in self._contacts:
+        here = x[self.nodes]
+        slope = loads + self._weights[:, None] * (self._centers - here) - self._gradient(x)
+        touching = np.zeros((len(self.nodes), self.dim**2))
+        if self._obstacles:
+            push, blocks = np.zeros_like(x), np.zeros((len(x), self.dim**2))
+            for contact in self._obstacles:
                 contact.add_gradient(x, push)
-                contact.add_hessian(x, True, touching)
-            slope -= push[self._nodes]
-        touching = touching[self._nodes]
-        if self._factor is None or not np.allclose(touching, self._touching, rtol=0.1, atol=0.0):
-            self._factor, self._touching = self._factorised(touching), touching
+                contact.add_hessian(x, True, blocks)
+            slope -= push[self.nodes]
+            touching = blocks[self.nodes]
+        pushing = self._pushing if self._contact is None else self._contact.pushing(x)
+        changed = self._factor is None or not np.array_equal(pushing, self._pushing)
+        if changed or not np.allclose(touching, self._touching, rtol=0.1, atol=0.0):
+            self._factor, self._touching, self._pushing = self._factorised(touching), touching, pushing
         slope = slope[self._free]
         if self._factor is None or not np.isfinite(slope).all():
             return
@@ -179,7 +192,7 @@ class StiffBlock:
         before, size = self._energy(x)
         part = 1.0
         for _ in range(_HALVINGS):
-            x[self._nodes] = here + part * step
+            x[self.nodes] = here + part * step
             after, _ = self._energy(x)
             nodal = self._nodal_difference(here, part * step, loads)
             if after - before + nodal <= -_ENOUGH * part * work:
@@ -193,13 +206,21 @@ class StiffBlock:
             return
         if part < 1.0:
             self.renew()
-        table[self.first : self.last, : self.dim] = x[self._nodes]
+        table[self._places, : self.dim] = x[self.nodes]
 
     # --------------------------------------------------------------------------------------------- parts
 
+    def _gradient(self, x: FloatArray) -> FloatArray:
+        """Gradient of the energies of cells, rows and contact at the nodes of the block (n_block, dim) [N]."""
+        first = 0
+        for term in self._terms:
+            term.gradient(x, self._slots, first)
+            first += term.cells.size
+        return np.asarray(np.add.reduceat(self._slots[self._order], self._starts, axis=0))
+
     def _energy(self, x: FloatArray) -> tuple[float, float]:
         """Energy of cells, rows and obstacles around the block, and the sum of the sizes of its parts [J]."""
-        parts = [term.value(x) for term in (*self._terms, *self._contacts)]
+        parts = [term.value(x) for term in (*self._terms, *self._obstacles)]
         return sum(parts), sum(abs(part) for part in parts)
 
     def _nodal_difference(self, here: FloatArray, step: FloatArray, loads: FloatArray) -> float:
@@ -209,10 +230,11 @@ class StiffBlock:
 
     def _factorised(self, touching: FloatArray) -> Any:
         """Factors of the matrix at the present positions; None where it has none: a law may not be defined there."""
-        n, d = len(self._nodes), self.dim
+        n, d = len(self.nodes), self.dim
         own = np.zeros(self._size)
         matrix = scipy.sparse.csc_matrix((self._size, self._size))
-        for k, (term, entries) in enumerate(zip(self._terms, self._entries, strict=True)):
+        entries_of = (*self._entries, *self._contact_entries)
+        for k, (term, entries) in enumerate(zip(self._terms, entries_of, strict=True)):
             blocks = np.empty((entries.n_blocks, d * d))
             term.hessian(self._x, True, blocks, 0)
             part = entries.matrix(blocks, self._size)
@@ -220,7 +242,7 @@ class StiffBlock:
             if k < len(self._cells):
                 own += part.diagonal()
         local = np.broadcast_to(np.eye(d), (n, d, d)) * self._weights[:, None, None] + touching.reshape(n, d, d)
-        dofs = self._dofs[self._nodes]
+        dofs = self._dofs[self.nodes]
         rows = np.broadcast_to(dofs[:, :, None], local.shape).ravel()
         columns = np.broadcast_to(dofs[:, None, :], local.shape).ravel()
         kept = (rows >= 0) & (columns >= 0)

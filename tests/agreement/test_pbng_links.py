@@ -48,7 +48,8 @@ def compare(
 def block_size(simulation: Simulation) -> int:
     """Nodes that PBNG moves as one block."""
     sweep = NodeSweep(simulation.problem)
-    return 0 if sweep._block is None else sweep._block.last - sweep._block.first
+    sweep.begin_step(simulation.problem)
+    return 0 if sweep.block is None else len(sweep.block.nodes)
 
 
 def two_bars(
