@@ -133,14 +133,17 @@ class WeakContact:
         parts = self.weights[:, :, None] * push[:, None, :]
         slots[first : first + self.cells.size] = parts.reshape(self.cells.size, -1)
 
-    def hessian(self, x: FloatArray, project: bool, blocks: FloatArray, first: int) -> None:
+    def hessian(
+        self, x: FloatArray, project: bool, blocks: FloatArray, first: int, pushing: BoolArray | None = None
+    ) -> None:
         """Write the upper block triangle of each row's second derivative [N/m] to rows of `blocks` from `first` on.
 
-        It is positive semi-definite. At a gap of zero, where there are two, the pushing one.
+        It is positive semi-definite. At a gap of zero, where there are two, the pushing one; `pushing` (n,) says itself
+        which rows push.
         """
         dim = self.normals.shape[1]
         outer = self.normals[:, :, None] * self.normals[:, None, :]
-        normal = np.where(self.pushing(x), self.normal_stiffness, 0.0)
+        normal = np.where(self.pushing(x) if pushing is None else pushing, self.normal_stiffness, 0.0)
         K = (normal - self.tangential_stiffness)[:, None, None] * outer
         K += self.tangential_stiffness[:, None, None] * np.eye(dim)
         parts = self._products[:, :, None] * K.reshape(len(K), 1, dim * dim)

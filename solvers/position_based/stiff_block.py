@@ -15,10 +15,12 @@ import scipy.sparse
 import scipy.sparse.linalg
 
 from femdeform.contact.weak_constraints import WeakConstraints
+from femdeform.contact.weak_contact import WeakContact
 from femdeform.fem.discretization import ElementGroup
 from femdeform.fem.energies import CellTerm, ElasticEnergy
 from femdeform.step_problem import LocalCells, LocalStepProblem
 from femdeform.types import BoolArray, FloatArray, IntArray
+from solvers.position_based.active_rows import ActiveRows
 
 # A row is stiff where its nodes' rows are stiffer than their cells by this factor. Measured: at 1 tied bars need as
 # many sweeps as one bar whatever the stiffness is, at 4 up to twice as many, at 10 three times.
@@ -26,6 +28,8 @@ _STIFF = 1.0
 # Part of the first-order decrease of energy that a step has to reach, and halvings after which the block waits.
 _ENOUGH = 1e-4
 _HALVINGS = 30
+# Factorisations in one step of the block for contact rows that come and go.
+_FACTORISATIONS = 3
 # Differences of energies below this part of them are rounding.
 _FLAT = 1e-11
 # What is added to the diagonal, relative to the stiffness of a node's cells: a block that nothing else holds is
@@ -109,8 +113,9 @@ class StiffBlock:
         self._held: list[CellTerm] = [] if problem.links is None else problem.links.terms
         self._entries = [_Entries(term.cells, dofs) for term in (*self._cells, *self._held)]
         self._terms: list[CellTerm] = []
-        self._contact: Any = None
+        self._contact: WeakContact | None = None
         self._contact_entries: list[_Entries] = []
+        self._active_rows: ActiveRows | None = None
         self._obstacles: list[Any] = []
         self._x = problem.points.copy()
         self._near = nodes
@@ -118,7 +123,7 @@ class StiffBlock:
         self._order = self._starts = np.empty(0, dtype=np.int64)
         self._factor: Any = None
         self._touching = np.empty(0)
-        self._pushing = np.empty(0, dtype=bool)
+        self._pushing: BoolArray | None = None
         self._weights = np.empty(0)
         self._centers = np.empty((0, self.dim))
 
@@ -128,11 +133,13 @@ class StiffBlock:
         self._weights, self._centers = inertia.weights[self.nodes], inertia.centers[self.nodes]
         self._obstacles = [contact for contact in problem.node_contacts() if self._is_mine[contact.nodes].any()]
         self._terms = [*self._cells, *self._held]
-        self._contact, self._contact_entries = None, []
+        self._contact, self._contact_entries, self._active_rows = None, [], None
         if problem.weak_contact is not None and len(problem.weak_contact.cells):
             self._contact = problem.weak_contact
             self._terms.append(self._contact)
             self._contact_entries = [_Entries(self._contact.cells, self._dofs)]
+            self._active_rows = ActiveRows(self._contact, self._dofs, self._size)
+            self._pushing = None
         # Where the forces of terms on the nodes of the block are, node by node.
         every = np.concatenate([term.cells.ravel() for term in self._terms])
         self._slots = np.empty((every.size, self.dim))
@@ -177,17 +184,19 @@ class StiffBlock:
                 contact.add_hessian(x, True, blocks)
             slope -= push[self.nodes]
             touching = blocks[self.nodes]
-        pushing = self._pushing if self._contact is None else self._contact.pushing(x)
-        changed = self._factor is None or not np.array_equal(pushing, self._pushing)
-        if changed or not np.allclose(touching, self._touching, rtol=0.1, atol=0.0):
-            self._factor, self._touching, self._pushing = self._factorised(touching), touching, pushing
+        if self._contact is not None and self._pushing is None:
+            self._pushing = self._contact.pushing(x)
+        if self._factor is None or not np.allclose(touching, self._touching, rtol=0.1, atol=0.0):
+            self._factor, self._touching = self._factorised(touching), touching
         slope = slope[self._free]
         if self._factor is None or not np.isfinite(slope).all():
             return
+        direction = self._direction(x, slope)
         step = np.zeros_like(here)
-        step[self._free] = self._factor.solve(slope)
-        work = float(np.sum(slope * step[self._free]))
+        step[self._free] = direction
+        work = float(np.dot(slope, direction))
         if not work > 0.0:
+            self.renew()
             return
         before, size = self._energy(x)
         part = 1.0
@@ -209,6 +218,29 @@ class StiffBlock:
         table[self._places, : self.dim] = x[self.nodes]
 
     # --------------------------------------------------------------------------------------------- parts
+
+    def _direction(self, x: FloatArray, slope: FloatArray) -> FloatArray:
+        """The step to the minimum of the model, contact rows one-sided in it."""
+        rows = self._active_rows
+        if self._contact is None or rows is None:
+            return np.asarray(self._factor.solve(slope))
+        gaps = self._contact.gaps(x)
+        step, active = rows.minimise(slope, gaps, gaps <= 0.0)
+        for _ in range(_FACTORISATIONS):
+            if step is not None:
+                break
+            self._pushing = active
+            self._factor = self._factorised(self._touching)
+            if self._factor is None:
+                return np.zeros_like(slope)
+            step, active = rows.minimise(slope, gaps, active)
+        self._pushing = active
+        # Too many rows come and go: the step of those that push now, which always descends.
+        if step is None:
+            self._pushing = gaps <= 0.0
+            self._factor = self._factorised(self._touching)
+            return np.zeros_like(slope) if self._factor is None else np.asarray(self._factor.solve(slope))
+        return step
 
     def _gradient(self, x: FloatArray) -> FloatArray:
         """Gradient of the energies of cells, rows and contact at the nodes of the block (n_block, dim) [N]."""
@@ -236,7 +268,10 @@ class StiffBlock:
         entries_of = (*self._entries, *self._contact_entries)
         for k, (term, entries) in enumerate(zip(self._terms, entries_of, strict=True)):
             blocks = np.empty((entries.n_blocks, d * d))
-            term.hessian(self._x, True, blocks, 0)
+            if self._contact is not None and term is self._contact:
+                self._contact.hessian(self._x, True, blocks, 0, self._pushing)
+            else:
+                term.hessian(self._x, True, blocks, 0)
             part = entries.matrix(blocks, self._size)
             matrix = matrix + part
             if k < len(self._cells):
@@ -254,11 +289,14 @@ class StiffBlock:
             return None
         # Symmetric and definite: the order that keeps it sparse may be kept, pivots are not needed.
         try:
-            return scipy.sparse.linalg.splu(
+            factor = scipy.sparse.linalg.splu(
                 matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
             )
         except RuntimeError:  # singular: the block waits for what is around it
             return None
+        if self._active_rows is not None and self._pushing is not None:
+            self._active_rows.attach(factor, self._pushing)
+        return factor
 
 
 class _Entries:
