@@ -274,6 +274,16 @@ class IncrementalPotential:
         self.partition.accumulate(out)
         return out
 
+    def contact_forces(self, x: FloatArray) -> FloatArray:
+        """Forces of obstacles and other surfaces on the nodes, as the last step begun has frozen them [N]."""
+        out = np.zeros((self.discretization.n_nodes, self.dim))
+        for contact in (*self.contacts, *self.couplings):
+            contact.add_gradient(x, out)
+        if self.weak_contact is not None:
+            self.weak_contact.add_gradient(x, out)
+        self.partition.accumulate(out)
+        return -out
+
     def slots_of(self, k: int) -> tuple[FloatArray, int]:
         """Buffer (n_slots, dim) for nodal forces of cells and the first row of elastic term k in it."""
         return self._slots, int(self._first_row[k])

@@ -24,6 +24,7 @@ from femdeform.run.result import Frame, Result
 MAX_FACES_WITH_EDGES = 50_000
 
 _COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#ee9944", "#888888")
+_MARKED, _UNMARKED = "#d01818", "#c4ccd6"
 _OUTLINE = "#a8a8a8"
 _OBSTACLE = "#8c9aa8"
 _LINK = "#444444"
@@ -103,6 +104,8 @@ class Stage:
                 self._colour(mesh, part, field)
         self._show_obstacles(frame.time)
         self._show_links(frame)
+        if field.is_mark:
+            self._show_marks(frame, field)
         if self._bare:
             # New text makes the plotter draw again; moved points alone do not.
             self.plotter.render()
@@ -159,6 +162,22 @@ class Stage:
             self._annotate(field)
         self._aim()
 
+    def _show_marks(self, frame: Frame, field: Field) -> None:
+        """Marked nodes as dots in a surface that is drawn as glass."""
+        nodes = np.unique(self._setting.surface.faces.nodes)
+        dots = frame.positions[nodes[field.values[nodes] > 0.0]]
+        self.plotter.remove_actor("marks", render=False)
+        if len(dots):
+            self.plotter.add_mesh(
+                self.pyvista.PolyData(dots),
+                name="marks",
+                color=_MARKED,
+                lighting=False,
+                render_points_as_spheres=True,
+                point_size=8.0 * self._scale,
+                reset_camera=False,
+            )
+
     def _annotate(self, field: Field) -> None:
         if field.categorical:
             self._add_legend(field)
@@ -202,6 +221,8 @@ class Stage:
                 "show_scalar_bar": False,
                 "preference": "cell" if field.on_cells else "point",
             }
+        if field.is_mark:
+            return {"cmap": [_UNMARKED], "clim": (0.0, 1.0), "show_scalar_bar": False, "opacity": 0.35}
         if not high > low:
             # A field that is the same everywhere still needs a range to be drawn and labelled.
             low, high = low - 0.5 * max(abs(low), 1e-12), high + 0.5 * max(abs(high), 1e-12)
