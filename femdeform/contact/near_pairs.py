@@ -105,8 +105,6 @@ class NearPairSearch:
         vertex, facet = self._candidates(start, end)
         normals = facet_normals(start[self._facets])
         own = self._vertex_normals(start, normals)
-        facing = np.einsum("nc,nc->n", own[vertex], normals[facet]) < _FACING * np.linalg.norm(own[vertex], axis=1)
-        vertex, facet = vertex[facing], facet[facing]
         weights = closest_weights(start[vertex], start[self._facets[facet]])
         away = start[vertex] - np.einsum("nk,nkc->nc", weights, start[self._facets[facet]])
         size = np.linalg.norm(away, axis=1)
@@ -117,13 +115,21 @@ class NearPairSearch:
         same = np.flatnonzero(body == self.surface.body[vertex])
         allowed[same] &= self._not_neighbours(vertex[same], facet[same], size[same], inside[same])
 
-        # The nearest one of each body; of equal ones the facet that looks most against the vertex.
-        opposed = np.einsum("nc,nc->n", own[vertex], normals[facet])
+        # The nearest facet of a body, whichever way it looks, tells on which side of its surface a vertex is.
         rank = np.rint(size / (_EQUAL * self._mean_edge))
-        order = np.lexsort((facet, opposed, rank, body, vertex))
+        key = vertex * (int(self.surface.body.max(initial=0)) + 1) + body
+        order = np.lexsort((facet, rank, key))
         order = order[allowed[order]]
-        key = vertex[order] * (int(self.surface.body.max(initial=0)) + 1) + body[order]
-        chosen = order[np.flatnonzero(np.diff(key, prepend=-1))]
+        nearest = order[np.flatnonzero(np.diff(key[order], prepend=-1))]
+        facing = np.einsum("nc,nc->n", own[vertex], normals[facet])
+        fits = allowed & (facing < _FACING * np.linalg.norm(own[vertex], axis=1))
+        if nearest.size:
+            teller = nearest[np.minimum(np.searchsorted(key[nearest], key), nearest.size - 1)]
+            fits &= (inside == inside[teller]) | (size[teller] <= _TINY * self._mean_edge)
+        # It is held by the nearest facet that looks against it; of equal ones by that which does so most.
+        order = np.lexsort((facet, facing, rank, key))
+        order = order[fits[order]]
+        chosen = order[np.flatnonzero(np.diff(key[order], prepend=-1))]
 
         vertex, facet, weights, away = vertex[chosen], facet[chosen], weights[chosen], away[chosen]
         size, sign = size[chosen], np.where(inside[chosen], -1.0, 1.0)
