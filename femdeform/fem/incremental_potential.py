@@ -28,6 +28,8 @@ from femdeform.types import FloatArray
 
 # A state whose forces are below this multiple of what rounding may leave is at rest.
 _REST = 100.0
+# The same as a part of the forces of the first iterate, where no Hessian has told what rounding may leave.
+_TINY = 1e-10
 
 
 @dataclass
@@ -501,8 +503,16 @@ class IncrementalPotential:
 
     def settle_force_scale(self, x: FloatArray) -> None:
         """Take the forces at the first iterate, reactions included, as R0 if the last state has none but rounding."""
-        if self.force_scale <= _REST * self.roundoff_norm(x):
-            self.force_scale = self.partition.norm(self.full_gradient(x))
+        rounding = self.roundoff_norm(x)
+        # Before the first Hessian nothing tells what rounding is: in statics the forces that there are now do.
+        if self.force_scale > _REST * rounding and (rounding > 0.0 or not self.quasistatic):
+            return
+        pushed = np.zeros_like(x)
+        if self.weak_contact is not None:
+            self.weak_contact.add_gradient(x, pushed)
+        size = self.partition.norm(self.full_gradient(x) - pushed)
+        if rounding > 0.0 or self.force_scale <= _TINY * size:
+            self.force_scale = size
 
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone can leave at `x` [N]: no solver can be asked for less."""

@@ -261,7 +261,6 @@ def test_nodes_of_a_row_have_different_colors(stiffness: float) -> None:
         assert all(np.unique(cell).size == 4 for cell in own)
 
 
-
 @pytest.mark.parametrize("stiffness", [100.0, 1e4, 1e8])
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("law", list(LAWS))
