@@ -182,6 +182,7 @@ class LocalStepProblem(StepProblem, Protocol):
 
     points: FloatArray  # (n_local, dim) reference positions [m]
     links: Any  # weak constraints between nodes (`femdeform.contact.weak_constraints.WeakConstraints`), or None
+    weak_contact: Any  # contact found anew in each step (`femdeform.contact.weak_contact.WeakContact`), or None
     lumped_mass: FloatArray  # (n_local,) [kg]
 
     def local_cells(self, knows_links: bool = False) -> Sequence[LocalCells]:
@@ -190,7 +191,8 @@ class LocalStepProblem(StepProblem, Protocol):
         Parameters
         ----------
         knows_links : bool
-            Whether the method minimises the energies of `links` too; else a scene with links is refused.
+            Whether the method minimises the energies of `links` and `weak_contact` too; else a scene with them is
+            refused.
 
         Raises
         ------

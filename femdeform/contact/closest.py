@@ -45,7 +45,7 @@ def closest_points(points: FloatArray, corners: FloatArray) -> tuple[IntArray, F
         counts = np.fromiter(map(len, found), dtype=np.int64, count=len(some))
         facet = np.fromiter((i for inner in found for i in inner), dtype=np.int64, count=int(counts.sum()))
         owner = np.repeat(np.arange(len(some)), counts)
-        weights = _barycentric(some[owner], corners[facet])
+        weights = closest_weights(some[owner], corners[facet])
         distance = np.linalg.norm(np.einsum("nk,nkc->nc", weights, corners[facet]) - some[owner], axis=1)
         best = np.lexsort((facet, distance, owner))[np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)]
         parts.append((facet[best], weights[best], distance[best]))
@@ -53,8 +53,8 @@ def closest_points(points: FloatArray, corners: FloatArray) -> tuple[IntArray, F
     return facets, weights, distance
 
 
-def _barycentric(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Coordinates (n, k) of the closest point of each one's segment or triangle."""
+def closest_weights(points: FloatArray, corners: FloatArray) -> FloatArray:
+    """Coordinates (n, k) of the closest point of each one's segment or triangle (n, k, dim), exact zeros on its rim."""
     if corners.shape[1] == 2:
         return _on_segment(points, corners)
     edges = corners[:, 1:] - corners[:, :1]

@@ -13,8 +13,9 @@ import numpy as np
 
 from femdeform.contact.obstacle_barrier import ObstacleBarrier
 from femdeform.contact.penalty import PenaltyContact
-from femdeform.contact.terms import CouplingContact, NodeBlocks, NodeContact
+from femdeform.contact.terms import ContactTerm, CouplingContact, NodeBlocks, NodeContact
 from femdeform.contact.weak_constraints import WeakConstraints
+from femdeform.contact.weak_contact import WeakContact
 from femdeform.errors import InputError
 from femdeform.fem import kernels
 from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
@@ -27,6 +28,8 @@ from femdeform.types import FloatArray
 
 # A state whose forces are below this multiple of what rounding may leave is at rest.
 _REST = 100.0
+# The same as a part of the forces of the first iterate, where no Hessian has told what rounding may leave.
+_TINY = 1e-10
 
 
 @dataclass
@@ -68,6 +71,8 @@ class IncrementalPotential:
         Contact of bodies with one another, serial only.
     links : WeakConstraints, optional
         Ties, springs and attachments.
+    weak_contact : WeakContact, optional
+        Contact of bodies with one another that may be penetrated, serial only.
 
     Attributes
     ----------
@@ -77,9 +82,9 @@ class IncrementalPotential:
         Degrees of freedom that are solved for.
     force_scale : float
         R0, the size of the forces in the step [N]: ``|M (x_n - x_hat)/h^2| + |dPE/dx(x_n)| + |f|``, over all degrees
-        of freedom, reactions included. Forces of stiff links say little of those in the bodies: they do not count. If
-        all of that is rounding (a body at rest whose support is moved), the forces of the first iterate, see
-        `settle_force_scale`.
+        of freedom, reactions included. Forces of stiff links and of weak contact say little of those in the bodies:
+        they do not count. If all of that is rounding (a body at rest whose support is moved), the forces of the first
+        iterate, see `settle_force_scale`.
     """
 
     def __init__(
@@ -90,6 +95,7 @@ class IncrementalPotential:
         contacts: Sequence[NodeContact] = (),
         couplings: Sequence[CouplingContact] = (),
         links: WeakConstraints | None = None,
+        weak_contact: WeakContact | None = None,
     ) -> None:
         self.discretization = discretization
         self.conditions = conditions
@@ -97,6 +103,7 @@ class IncrementalPotential:
         self.contacts = list(contacts)
         self.couplings = list(couplings)
         self.links = links
+        self.weak_contact = weak_contact
         self._barriers = [contact for contact in self.contacts if isinstance(contact, ObstacleBarrier)]
         self.has_barriers = bool(self._barriers or self.couplings)
         # Obstacles that nothing penetrates push bodies along: a solver has to move them together.
@@ -154,6 +161,8 @@ class IncrementalPotential:
             contact.begin_step(state.x, self.time, dt)
         if self.links is not None:
             self.links.begin_step(state.x, self.time)
+        if self.weak_contact is not None:
+            self.weak_contact.begin_step(state.x, self.predictor(state))
         # What a pair of nodes was coupled by in earlier steps must not decide how rounding falls in this one.
         self._in_use = np.empty(0, dtype=np.int64)
         self._reference = state.x
@@ -236,6 +245,8 @@ class IncrementalPotential:
         kinds: list[Sequence[CellTerm | NodeContact | CouplingContact]]
         kinds = [self.elastic, self.pressures, self.contacts, self.couplings, self._link_terms]
         parts = [self.partition.sum(sum(term.value(x) for term in kind)) for kind in kinds]
+        if self.weak_contact is not None:
+            parts.append(self.weak_contact.value(x))
         parts.append(-self.partition.dot(self.load, x - self._reference))
         if not self.quasistatic:
             offset = x - self._x_hat
@@ -246,7 +257,8 @@ class IncrementalPotential:
     def internal_forces(self, x: FloatArray, elastic: bool = True, links: bool = True) -> FloatArray:
         """Gradient of the elastic energy and of pressure, contact and links [N], no inertia, no dead load.
 
-        `elastic` = False leaves the elastic forces out, `links` = False those of links. (n_local, dim).
+        `elastic` = False leaves the elastic forces out, `links` = False those of links and of weak contact.
+        (n_local, dim).
         """
         first_link = len(self._terms) - len(self._link_terms)
         counts = [(elastic or k >= len(self.elastic)) and (links or k < first_link) for k in range(len(self._terms))]
@@ -260,8 +272,20 @@ class IncrementalPotential:
             self._sum(self._slots, out)
         for contact in (*self.contacts, *self.couplings):
             contact.add_gradient(x, out)
+        if self.weak_contact is not None and links:
+            self.weak_contact.add_gradient(x, out)
         self.partition.accumulate(out)
         return out
+
+    def contact_forces(self, x: FloatArray) -> FloatArray:
+        """Forces of obstacles and other surfaces on the nodes, as the last step begun has frozen them [N]."""
+        out = np.zeros((self.discretization.n_nodes, self.dim))
+        for contact in (*self.contacts, *self.couplings):
+            contact.add_gradient(x, out)
+        if self.weak_contact is not None:
+            self.weak_contact.add_gradient(x, out)
+        self.partition.accumulate(out)
+        return -out
 
     def slots_of(self, k: int) -> tuple[FloatArray, int]:
         """Buffer (n_slots, dim) for nodal forces of cells and the first row of elastic term k in it."""
@@ -321,6 +345,8 @@ class IncrementalPotential:
         """
         dim = self.dim
         coupled = [term.hessian_blocks(x, project) for term in self.couplings]
+        if self.weak_contact is not None:
+            coupled.append(self.weak_contact.hessian_blocks(x, project))
         if coupled:
             self._adapt_pattern(coupled)
         pattern = self.pattern
@@ -435,12 +461,14 @@ class IncrementalPotential:
 
     def local_cells(self, knows_links: bool = False) -> list[LocalCells]:
         """See `LocalStepProblem`: the cells of all bodies, merged by law."""
+        if self.weak_contact is not None and not knows_links:
+            raise InputError("contact: this method does not know weak constraints; use projected_newton or pbng")
         if self.links is not None and not knows_links:
             raise InputError("links: this method does not know them; use projected_newton, mixed_fem or pbng")
         if self.partition.n_owned < self.partition.n_global:
             raise InputError("solver.method: a sweep over the nodes runs on one rank, with threads")
         if self.couplings or self._barriers:
-            raise InputError("contact: a sweep over the nodes knows obstacles by `method: penalty` only")
+            raise InputError("contact: a sweep over the nodes does not know `method: ipc`")
         if not self.quasistatic and self.discretization.consistent_mass is not None:
             raise InputError("bodies: a sweep over the nodes needs `mass: lumped`")
         by_law: dict[tuple[type, object], list[LocalCells]] = {}
@@ -494,8 +522,16 @@ class IncrementalPotential:
 
     def settle_force_scale(self, x: FloatArray) -> None:
         """Take the forces at the first iterate, reactions included, as R0 if the last state has none but rounding."""
-        if self.force_scale <= _REST * self.roundoff_norm(x):
-            self.force_scale = self.partition.norm(self.full_gradient(x))
+        rounding = self.roundoff_norm(x)
+        # Before the first Hessian nothing tells what rounding is: in statics the forces that there are now do.
+        if self.force_scale > _REST * rounding and (rounding > 0.0 or not self.quasistatic):
+            return
+        pushed = np.zeros_like(x)
+        if self.weak_contact is not None:
+            self.weak_contact.add_gradient(x, pushed)
+        size = self.partition.norm(self.full_gradient(x) - pushed)
+        if rounding > 0.0 or self.force_scale <= _TINY * size:
+            self.force_scale = size
 
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone can leave at `x` [N]: no solver can be asked for less."""
@@ -537,7 +573,9 @@ class IncrementalPotential:
 
     def contact_energy(self, x: FloatArray) -> float:
         """Energy of penetration and of barriers, obstacles being where the step ends [J]; no work of friction."""
-        terms = (*self.contacts, *self.couplings)
+        terms: list[ContactTerm | WeakContact] = [*self.contacts, *self.couplings]
+        if self.weak_contact is not None:
+            terms.append(self.weak_contact)
         return self.partition.sum(sum(term.stored_energy(x) for term in terms)) if terms else 0.0
 
     def load_potential(self, x: FloatArray) -> float:

@@ -23,6 +23,7 @@ UNITS = {
     "jacobian": "-",
 }
 NAMES_OF_PARTS = ("body", "region")
+MARKS = ("contact",)
 
 _VECTOR = {"x": 0, "y": 1, "z": 2}
 _TENSOR = {a + b: 3 * i + j for i, a in enumerate("xyz") for j, b in enumerate("xyz")}
@@ -44,6 +45,8 @@ class Field:
         Whether the values number bodies or regions.
     is_norm : bool
         Whether the values are lengths of vectors or tensors, whose colours start at zero.
+    is_mark : bool
+        Whether the values are 1 at marked places and 0 elsewhere.
     """
 
     values: FloatArray
@@ -51,6 +54,7 @@ class Field:
     label: str
     categorical: bool
     is_norm: bool = False
+    is_mark: bool = False
 
 
 def select_field(frame: Frame, name: str | None, place: Path) -> Field:
@@ -92,7 +96,7 @@ def select_field(frame: Frame, name: str | None, place: Path) -> Field:
     is_norm = values.ndim == 2
     if is_norm:
         values = np.linalg.norm(values, axis=1)
-    return Field(_floats(values), on_cells, title + unit, base in NAMES_OF_PARTS, is_norm)
+    return Field(_floats(values), on_cells, title + unit, base in NAMES_OF_PARTS, is_norm, base in MARKS)
 
 
 def value_range(values: FloatArray) -> tuple[float, float]:

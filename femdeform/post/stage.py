@@ -24,6 +24,7 @@ from femdeform.run.result import Frame, Result
 MAX_FACES_WITH_EDGES = 50_000
 
 _COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#ee9944", "#888888")
+_MARKED, _UNMARKED = "#d01818", "#c4ccd6"
 _OUTLINE = "#a8a8a8"
 _OBSTACLE = "#8c9aa8"
 _LINK = "#444444"
@@ -103,6 +104,8 @@ class Stage:
                 self._colour(mesh, part, field)
         self._show_obstacles(frame.time)
         self._show_links(frame)
+        if field.is_mark:
+            self._show_marks(frame, field)
         if self._bare:
             # New text makes the plotter draw again; moved points alone do not.
             self.plotter.render()
@@ -152,14 +155,28 @@ class Stage:
             options = {**options, "show_scalar_bar": False}
         if 0 < surface.n_faces < MAX_FACES_WITH_EDGES:
             edges = self._mesh(frame, surface.edges, with_faces=False)
-            self.plotter.add_mesh(
-                edges, color="#101820", opacity=0.28, line_width=1.0 * self._scale, lighting=False
-            )
+            self.plotter.add_mesh(edges, color="#101820", opacity=0.28, line_width=1.0 * self._scale, lighting=False)
             self._meshes.append((edges, surface.edges, False))
         self._add_reference(frame)
         if not self._bare:
             self._annotate(field)
         self._aim()
+
+    def _show_marks(self, frame: Frame, field: Field) -> None:
+        """Marked nodes as dots in a surface that is drawn as glass."""
+        nodes = np.unique(self._setting.surface.faces.nodes)
+        dots = frame.positions[nodes[field.values[nodes] > 0.0]]
+        self.plotter.remove_actor("marks", render=False)
+        if len(dots):
+            self.plotter.add_mesh(
+                self.pyvista.PolyData(dots),
+                name="marks",
+                color=_MARKED,
+                lighting=False,
+                render_points_as_spheres=True,
+                point_size=8.0 * self._scale,
+                reset_camera=False,
+            )
 
     def _annotate(self, field: Field) -> None:
         if field.categorical:
@@ -168,9 +185,7 @@ class Stage:
             bar.SetVerticalTitleSeparation(round(10 * self._scale))
         title = self._title()
         if title:
-            self.plotter.add_text(
-                title, position=(0.03, 0.93), viewport=True, font_size=self._font(16), color=_TEXT
-            )
+            self.plotter.add_text(title, position=(0.03, 0.93), viewport=True, font_size=self._font(16), color=_TEXT)
         self.plotter.add_axes(viewport=(0.84, 0.0, 1.0, 0.2), line_width=2, color=_TEXT)
 
     def _mesh(self, frame: Frame, part: Part, *, with_faces: bool) -> Any:
@@ -206,6 +221,8 @@ class Stage:
                 "show_scalar_bar": False,
                 "preference": "cell" if field.on_cells else "point",
             }
+        if field.is_mark:
+            return {"cmap": [_UNMARKED], "clim": (0.0, 1.0), "show_scalar_bar": False, "opacity": 0.35}
         if not high > low:
             # A field that is the same everywhere still needs a range to be drawn and labelled.
             low, high = low - 0.5 * max(abs(low), 1e-12), high + 0.5 * max(abs(high), 1e-12)
@@ -240,12 +257,8 @@ class Stage:
                 self.plotter.add_mesh(mesh, color=_OUTLINE, line_width=width, lighting=False)
         if self._setting.dim == 3 and surface.n_faces:
             # Round bodies have no sharp edges: what outlines them depends on where one looks from.
-            shape = self.pyvista.PolyData.from_regular_faces(
-                frame.points[surface.faces.nodes], surface.faces.cells
-            )
-            self.plotter.add_silhouette(
-                shape.clean(), color=_OUTLINE, line_width=width
-            )
+            shape = self.pyvista.PolyData.from_regular_faces(frame.points[surface.faces.nodes], surface.faces.cells)
+            self.plotter.add_silhouette(shape.clean(), color=_OUTLINE, line_width=width)
 
     def _show_obstacles(self, time: float) -> None:
         if not self._obstacles:

@@ -7,22 +7,30 @@ from collections.abc import Mapping
 import numpy as np
 
 from femdeform.contact.facing import FacetShares, FacingStiffness
-from femdeform.contact.ipc import IPCContact
+from femdeform.contact.ipc import IPCContact, body_pairs
 from femdeform.contact.ipc_setup import ContactNumbers, contact_numbers, initial_findings, surface_facets
+from femdeform.contact.near_pairs import NearPairSearch
 from femdeform.contact.obstacle_barrier import ObstacleBarrier
 from femdeform.contact.obstacles import make_shape, smooth_parts
 from femdeform.contact.penalty import PenaltyContact
 from femdeform.contact.surface import CollisionSurface, SurfacePart, collision_surface
 from femdeform.contact.terms import CouplingContact, NodeContact
+from femdeform.contact.weak_contact import WeakContact
 from femdeform.errors import InputError
 from femdeform.fem.discretization import Discretization
 from femdeform.fem.node_sets import NodeSets, facet_measure, holds_facets
 from femdeform.scene import schema
-from femdeform.scene.contact_schema import IPCMethod
+from femdeform.scene.contact_schema import IPCMethod, WeakConstraintMethod
 from femdeform.types import FloatArray, IntArray, Mesh
 
 # Slip velocity up to which friction sticks, as a part of the scene's size per second.
 _STICK_VELOCITY = 1e-3
+# Default stiffness per area, in Young's moduli over the mean edge length of the surface.
+_OF_MODULUS = 10.0
+# Distance up to which weak constraints look for contact, in mean edge lengths.
+_MARGIN = 0.5
+# Overlaps at the start up to this part of the size of the bodies are none.
+_ROUNDING = 1e-9
 
 
 def make_contacts(
@@ -146,6 +154,75 @@ def _elastic_resistance(body: schema.Body, numbers: ContactNumbers, name: str) -
     return min(material.youngs_modulus for material in materials) / size * slender
 
 
+# ------------------------------------------------------------------------------------------------ weak constraints
+
+
+def make_weak_contact(
+    scene: schema.DeformableScene, meshes: Mapping[str, Mesh], discretization: Discretization, notices: list[str]
+) -> WeakContact | None:
+    """Contact between bodies by weak constraints, if the scene asks for it.
+
+    Raises
+    ------
+    InputError
+        If it is asked for on several ranks.
+    """
+    method = scene.contact
+    if not isinstance(method, WeakConstraintMethod):
+        return None
+    if discretization.partition.comm is not None:
+        raise InputError("contact: method weak_constraints is serial; run on one rank, or use method penalty")
+    may_touch = body_pairs(list(meshes), method.self_contact, method.between)
+    if not may_touch.any():
+        return None
+    sets = NodeSets(meshes, discretization.bodies)
+    parts, edges, defaults = [], [], []
+    for name, mesh in meshes.items():
+        body = scene.bodies[name]
+        facets = surface_facets(body, mesh)
+        length = _mean_edge(mesh.points, facets) / body.element_order
+        edges.append(length)
+        defaults.append(_OF_MODULUS * _largest_modulus(body) / length)
+        parts.append(SurfacePart(name, sets.facet_nodes(name, facets), facets.shape[1], 1.0, 0.0, 1.0))
+    surface = collision_surface(parts, discretization.points)
+    areas = surface.vertex_weight
+    shares = areas if method.per == "area" else np.ones_like(areas)
+    normal = np.array(defaults)[surface.body] * areas if method.stiffness is None else method.stiffness * shares
+    margin = _MARGIN * min(edges) if method.margin is None else method.margin
+    search = NearPairSearch(surface, may_touch, method.thickness + margin)
+    contact = WeakContact(search, normal, method.tangential_stiffness * shares, method.thickness)
+    notices += _overlap(contact, surface, discretization.points)
+    return contact
+
+
+def _overlap(contact: WeakContact, surface: CollisionSurface, points: FloatArray) -> list[str]:
+    """What to tell the user of bodies that overlap at the start."""
+    contact.begin_step(points, points)
+    depth = contact.penetration(points)
+    if depth <= _ROUNDING * float(np.ptp(surface.rest, axis=0).max()):
+        return []
+    worst = int(np.argmin(contact.gaps(points)))
+    vertex, facet = np.searchsorted(surface.nodes, contact.cells[worst, :2])
+    first, second = (surface.bodies[surface.body[i]] for i in (vertex, facet))
+    other = "itself" if first == second else f"`{second}`"
+    place = "(" + ", ".join(f"{c:.4g}" for c in surface.rest[vertex]) + ")"
+    force = depth * contact.normal_stiffness[worst]
+    return [
+        f"contact: `{first}` starts inside {other}, or nearer to it than `thickness`, by {depth:.3g} m near {place}; "
+        f"contact throws it out with up to {force:.3g} N a node"
+    ]
+
+
+def _mean_edge(points: FloatArray, facets: IntArray) -> float:
+    """Mean length of the edges of facets, their nodes taken in turn [m]."""
+    corners = points[facets]
+    return float(np.mean(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
+
+
+def _largest_modulus(body: schema.Body) -> float:
+    return max(material.youngs_modulus for material in (body.material, *body.regions.values()) if material is not None)
+
+
 # ------------------------------------------------------------------------------------------------------ penalty
 
 
@@ -164,11 +241,8 @@ def _surface(
             measure = measure * np.sqrt(body.cross_section)
         nodes = sets.facet_nodes(name, facets)
         on_surface.append(np.unique(nodes))
-        materials = [body.material, *body.regions.values()]
-        modulus = max(material.youngs_modulus for material in materials if material is not None)
-        edges = mesh.points[facets]
-        length = float(np.mean(np.linalg.norm(edges - np.roll(edges, 1, axis=1), axis=2)))
-        per_area = 10.0 * modulus / length if stiffness is None else stiffness
+        default = _OF_MODULUS * _largest_modulus(body) / _mean_edge(mesh.points, facets)
+        per_area = default if stiffness is None else stiffness
         held = holds_facets(discretization, name, mesh, facets)
         local = discretization.local_numbers[nodes[held]]
         # Equal shares: the corners of a quadratic facet carry no load in the energy, but they must not fall through.

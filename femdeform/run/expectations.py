@@ -20,9 +20,7 @@ Columns = Mapping[str, NDArray[Any]]
 _SCALARS = ("volume_ratio", "elastic_energy", "kinetic_energy", "total_energy", "max_displacement", "min_jacobian")
 
 
-def check_expectations(
-    simulation: Simulation, state: State, history: Columns | None = None
-) -> list[dict[str, Any]]:
+def check_expectations(simulation: Simulation, state: State, history: Columns | None = None) -> list[dict[str, Any]]:
     """Compare every expected value of a scene with the computed one; collective over the ranks.
 
     Parameters

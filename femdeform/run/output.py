@@ -67,6 +67,9 @@ class FrameSource:
             fields["velocity"] = state.v
         if "reaction" in self._simulation.scene.output.fields:
             fields["reaction"] = np.zeros_like(state.x) if reactions is None else reactions
+        if "contact" in self._simulation.scene.output.fields:
+            pushed = self._simulation.problem.contact_forces(state.x).any(axis=1, keepdims=True)
+            fields["contact"] = np.asarray(pushed, dtype=np.float64)
         gathered = {name: discretization.partition.gather(values) for name, values in fields.items()}
         return {name: values for name, values in gathered.items() if values is not None} or None
 

@@ -309,6 +309,16 @@ def _max_displacement(snapshot: Snapshot) -> float:
     return discretization.partition.max(float(length.max(initial=0.0)))
 
 
+def _penetration(snapshot: Snapshot) -> float:
+    contact = snapshot.simulation.problem.weak_contact
+    return 0.0 if contact is None else contact.penetration(snapshot.state.x)
+
+
+def _contacts(snapshot: Snapshot) -> float:
+    contact = snapshot.simulation.problem.weak_contact
+    return 0.0 if contact is None else float(contact.count(snapshot.state.x))
+
+
 _OF_CELLS: dict[str, Callable[[Snapshot, str | None], float]] = {
     "elastic_energy": _elastic_energy,
     "max_von_mises": _max_von_mises,
@@ -320,4 +330,6 @@ _OF_THE_SYSTEM: dict[str, Evaluate] = {
     "contact_energy": _contact_energy,
     "total_energy": _total_energy,
     "max_displacement": _max_displacement,
+    "penetration": _penetration,
+    "contacts": _contacts,
 }

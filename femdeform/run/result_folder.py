@@ -52,8 +52,7 @@ def check_vacant(folder: Path) -> None:
         status = ""
     kind = "an unfinished result" if status in ("running", "interrupted") else "a result"
     message = (
-        f"holds {kind} already: give --resume to go on with it, --overwrite to replace it, "
-        "or another folder with --out"
+        f"holds {kind} already: give --resume to go on with it, --overwrite to replace it, or another folder with --out"
     )
     raise InputError([Fault(str(folder), 0, "", message)])
 

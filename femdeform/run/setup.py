@@ -15,7 +15,7 @@ from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import BodyInput, Discretization, discretize
 from femdeform.fem.incremental_potential import IncrementalPotential, State
 from femdeform.materials import law_for, supports_codimension
-from femdeform.run.contacts import make_contacts
+from femdeform.run.contacts import make_contacts, make_weak_contact
 from femdeform.run.links import make_links
 from femdeform.scene import schema
 from femdeform.scene.constraint_schema import CELL_SWEEPS
@@ -158,11 +158,12 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
         links = WeakConstraints(rows.local(discretization.local_numbers, discretization.partition.n_owned))
         links.begin_step(discretization.points, 0.0)
     quasistatic = scene.time.scheme == "quasistatic"
-    problem = IncrementalPotential(discretization, conditions, quasistatic, contacts, couplings=couplings, links=links)
+    weak = make_weak_contact(scene, meshes, discretization, notices)
+    problem = IncrementalPotential(
+        discretization, conditions, quasistatic, contacts, couplings=couplings, links=links, weak_contact=weak
+    )
     linear_solver = make_linear_solver(scene.linear_solver, ranks, notices)
     solver = registry.resolve(registry.SOLVERS[scene.solver.method])(scene.solver, linear_solver)
     velocity = np.zeros_like(discretization.points) if quasistatic else conditions.initial_velocity.copy()
     state = State(discretization.points.copy(), velocity)
-    return Simulation(
-        scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices
-    )
+    return Simulation(scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices)

@@ -145,9 +145,7 @@ class VTUWriter:
             for name, arrays in mesh.cell_data.items()
         }
 
-    def write(
-        self, path: Path, time: float, point_data: Mapping[str, NDArray[Any]], cell_data: CellData
-    ) -> None:
+    def write(self, path: Path, time: float, point_data: Mapping[str, NDArray[Any]], cell_data: CellData) -> None:
         """Write one frame atomically.
 
         Parameters

@@ -70,8 +70,7 @@ def read_vtu(path: Path) -> VTUContents:
             blocks=blocks,
             point_data=point_data,
             cell_data={
-                name: [array[first:last] for first, last in pairwise(bounds)]
-                for name, array in cell_data.items()
+                name: [array[first:last] for first, last in pairwise(bounds)] for name, array in cell_data.items()
             },
         )
     except FileNotFoundError as error:

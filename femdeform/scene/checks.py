@@ -12,7 +12,7 @@ from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
 from femdeform.scene.constraint_schema import CELL_SWEEPS, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_checks import contact_findings
-from femdeform.scene.contact_schema import IPCMethod
+from femdeform.scene.contact_schema import IPCMethod, PenaltyMethod, WeakConstraintMethod
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.link_checks import link_findings
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
@@ -234,6 +234,9 @@ def _mixed_findings(scene: schema.DeformableScene, solver: MixedFEMSolver) -> It
     if solver.scheme == "alternating" and isinstance(scene.contact, IPCMethod):
         message = "alternating starts from free flight, which may end inside a barrier; use converged with contact ipc"
         yield Finding(("solver", "scheme"), message)
+    if solver.scheme == "alternating" and isinstance(scene.contact, WeakConstraintMethod):
+        message = "alternating knows obstacles only; use converged with contact weak_constraints"
+        yield Finding(("solver", "scheme"), message)
 
 
 def _sweep_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
@@ -246,7 +249,10 @@ def _sweep_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
             yield Finding(("bodies", name, "element_order"), f"{method} knows linear elements only")
         if body.mass == "consistent" and scene.time.scheme != "quasistatic":
             yield Finding(("bodies", name, "mass"), f"{method} needs a mass at each node by itself; use lumped")
-    if isinstance(scene.contact, IPCMethod):
+    if isinstance(scene.solver, PBNGSolver):
+        if isinstance(scene.contact, IPCMethod):
+            yield Finding(("contact", "method"), "pbng knows penalty and weak_constraints only")
+    elif not isinstance(scene.contact, PenaltyMethod):
         yield Finding(("contact", "method"), f"{method} knows obstacles by penalty only")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from femdeform import registry
 from femdeform.scene import schema
-from femdeform.scene.contact_schema import IPCMethod
+from femdeform.scene.contact_schema import IPCMethod, WeakConstraintMethod
 from femdeform.scene.selection_checks import unknown_body
 from femdeform.scene.validation import Finding
 from femdeform.types import Mesh
@@ -27,12 +27,18 @@ def contact_findings(
         Bodies whose mesh is a stand-in; where bodies start is judged on real meshes of all bodies only.
     """
     method = scene.contact
-    if not isinstance(method, IPCMethod):
+    if not isinstance(method, IPCMethod | WeakConstraintMethod):
         return
     for place, pair in enumerate(method.between or []):
         for entry, name in enumerate(pair):
             if name not in scene.bodies:
                 yield unknown_body(name, ("contact", "between", place, entry), scene)
+    if isinstance(method, WeakConstraintMethod):
+        for name, body in scene.bodies.items():
+            if not isinstance(body, schema.SolidBody):
+                message = f"contact.method weak_constraints knows solids only, not a {body.kind}; use ipc"
+                yield Finding(("bodies", name, "kind"), message)
+        return
     for index, obstacle in enumerate(scene.obstacles):
         if obstacle.stiffness is not None:
             message = "belongs to the penalty; with contact.method ipc obstacles obey `contact.stiffness`"

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from femdeform.scene import schema
+from femdeform.scene.contact_schema import WeakConstraintMethod
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.quantity_schema import (
     CellQuantity,
+    ContactQuantity,
     LinkForceQuantity,
     LinkQuantity,
     MomentQuantity,
@@ -47,6 +49,8 @@ def quantity_findings(
             yield unknown_body(block.body, (*path, "body"), scene)
         if isinstance(block, (LinkQuantity, LinkForceQuantity)):
             yield from _link_findings(block.link, path, scene)
+        if isinstance(block, ContactQuantity) and not isinstance(scene.contact, WeakConstraintMethod):
+            yield Finding((*path, "kind"), f"{block.kind} is known with contact.method weak_constraints only")
     for name in scene.expect.measured:
         if name not in scene.measure:
             yield Finding(("expect", "measured", name), _unknown(name, scene))

@@ -67,6 +67,13 @@ class SystemQuantity(SceneModel):
     )
 
 
+class ContactQuantity(SceneModel):
+    kind: Literal["penetration", "contacts"] = Field(
+        description="with contact.method weak_constraints, where the last step ended: largest depth of a vertex in "
+        "another surface [m], number of vertices that are pushed out of one [-]"
+    )
+
+
 class MomentumQuantity(SceneModel):
     kind: Literal["linear_momentum", "angular_momentum"] = Field(
         description="linear momentum [kg m/s], or angular momentum about the origin [kg m^2/s]"
@@ -96,6 +103,7 @@ Quantity = Annotated[
     | MomentQuantity
     | CellQuantity
     | SystemQuantity
+    | ContactQuantity
     | MomentumQuantity
     | LinkQuantity
     | LinkForceQuantity,

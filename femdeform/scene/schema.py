@@ -426,7 +426,7 @@ class OnFailure(SceneModel):
 
 
 OutputField = Literal[
-    "displacement", "velocity", "reaction", "von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"
+    "displacement", "velocity", "reaction", "contact", "von_mises", "jacobian", "energy_density", "cauchy_stress", "pk1"
 ]
 
 

@@ -39,11 +39,14 @@ class NodeSweep:
     numbering : layout.Numbering
         Order of the nodes; positions given to `sweep` are flat, in this order, three components a node. Nodes that
         stiff weak constraints couple are the last colour; they move as one block.
+    block : StiffBlock or None
+        The block of the step begun: these nodes, and those of contact rows. The latter keep colour and place; their
+        own colour passes them by as long as they are in contact, so no other node is coloured or laid out anew.
     """
 
     def __init__(self, problem: LocalStepProblem, dtype: Any = np.float64) -> None:
         self.dtype = np.dtype(dtype)
-        groups = list(problem.local_cells(knows_links=True))
+        self._groups = groups = list(problem.local_cells(knows_links=True))
         self.n_nodes, self.dim = problem.points.shape
         links: WeakConstraints | None = problem.links
         stiff = np.zeros(self.n_nodes, dtype=bool)
@@ -59,16 +62,16 @@ class NodeSweep:
         offsets, place = self.numbering.color_offsets, self.numbering.place
         self._links = links
         self._rows: row_kernels.RowData | None = None
-        self._block: StiffBlock | None = None
         if links is not None:
             self._rows = row_kernels.lay_out(links, place, int(offsets[-1]), self.dtype)
             self._row_cuts = np.searchsorted(self._rows.nodes, offsets)
-            if (place[stiff] < offsets[-1]).any():
-                self._block = StiffBlock(problem, groups, links, place, int(offsets[-2]), int(offsets[-1]))
+        self._stiff = np.flatnonzero(stiff & (place < offsets[-1]))
+        self.block: StiffBlock | None = None
         n = self.n_nodes
         free = np.zeros((n, 3), dtype=np.uint8)
         free[:, : self.dim] = problem.free[self.numbering.order]
         self._free = free.ravel()
+        self._own_free = self._free.copy()
         self._weights = np.zeros(n, dtype=self.dtype)
         self._centers = np.zeros(3 * n, dtype=self.dtype)
         self._loads = np.zeros(3 * n, dtype=self.dtype)
@@ -101,16 +104,31 @@ class NodeSweep:
         self._obstacles = collect(contacts, self.numbering.place, self.dim) if contacts else None
         if self._links is not None and self._rows is not None:
             self._rows.begin_step(self._links)
-        if self._block is not None:
-            self._block.begin_step(problem)
+        self._gather_block(problem)
+
+    def _gather_block(self, problem: LocalStepProblem) -> None:
+        """Make the block of the nodes of stiff rows and of contact rows; keep the last one where they are the same."""
+        nodes = self._stiff
+        if problem.weak_contact is not None:
+            nodes = np.union1d(nodes, problem.weak_contact.nodes())
+        # In the order of the sweep; without what never moves.
+        places = np.sort(self.numbering.place[nodes])
+        nodes = self.numbering.order[places[places < self.numbering.color_offsets[-1]]]
+        if self.block is None or not np.array_equal(nodes, self.block.nodes):
+            place = self.numbering.place
+            self.block = StiffBlock(problem, self._groups, place, nodes) if nodes.size else None
+            self._free[:] = self._own_free
+            self._free.reshape(-1, 3)[place[nodes]] = 0
+        if self.block is not None:
+            self.block.begin_step(problem)
 
     def update_loads(self, problem: LocalStepProblem, x: FloatArray) -> None:
         """Evaluate forces that follow the positions x (n_nodes, dim), where there are any; renew what lags behind."""
         follower = problem.follower_forces(x)
         if follower is not None:
             self._write(self._loads, self._load + follower)
-        if self._block is not None:
-            self._block.renew()
+        if self.block is not None:
+            self.block.renew()
 
     def flat(self, x: FloatArray) -> FloatArray:
         """Positions (n_nodes, dim) in the order, the precision and the width of the sweep."""
@@ -139,15 +157,12 @@ class NodeSweep:
         factor = self.dtype.type(relaxation)
         offsets = self.numbering.color_offsets
         at_once = self._obstacles is None and not self._needs_check
-        for c in range(self.n_colors):
+        for c in range(self.n_colors - bool(self._stiff.size)):
             first, last = int(offsets[c]), int(offsets[c + 1])
             for part in self._parts:
                 part.add(c, x, self._acc)
             if self._rows is not None:
                 self._add_rows(c, x)
-            if self._block is not None and first == self._block.first:
-                self._move_block(x)
-                continue
             self._find_steps(first, last, factor, at_once, x)
             if at_once:
                 continue
@@ -155,6 +170,8 @@ class NodeSweep:
                 if not part.is_bounded:
                     part.shorten(c, x, self._steps, self._taken)
             move_kernels.take_steps(first, last, self._taken, self._steps, x)
+        if self.block is not None:
+            self.block.move(x, self._loads)
 
     def _add_rows(self, color: int, x: FloatArray) -> None:
         rows = self._rows
@@ -175,15 +192,6 @@ class NodeSweep:
             x,
             self._acc,
         )
-
-    def _move_block(self, x: FloatArray) -> None:
-        """Move the nodes of stiff rows by what has been summed for them."""
-        block = self._block
-        assert block is not None
-        acc = self._acc.reshape(-1, 9)[block.first : block.last]
-        loads = self._loads.reshape(-1, 3)[block.first : block.last, : self.dim]
-        block.move(x, acc[:, : self.dim].astype(np.float64), loads.astype(np.float64))
-        acc[:] = 0.0
 
     def _find_steps(self, first: int, last: int, factor: Any, at_once: bool, x: FloatArray) -> None:
         nodal = (self._weights, self._centers, self._loads, self._free, factor)

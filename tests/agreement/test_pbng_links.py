@@ -48,7 +48,8 @@ def compare(
 def block_size(simulation: Simulation) -> int:
     """Nodes that PBNG moves as one block."""
     sweep = NodeSweep(simulation.problem)
-    return 0 if sweep._block is None else sweep._block.last - sweep._block.first
+    sweep.begin_step(simulation.problem)
+    return 0 if sweep.block is None else len(sweep.block.nodes)
 
 
 def two_bars(
@@ -258,7 +259,6 @@ def test_nodes_of_a_row_have_different_colors(stiffness: float) -> None:
         own = colors[group.cells]
         own = np.where(own >= sweep.n_colors - (stiffness > 1e5), -1 - np.arange(4), own)
         assert all(np.unique(cell).size == 4 for cell in own)
-
 
 
 @pytest.mark.parametrize("stiffness", [100.0, 1e4, 1e8])

@@ -109,10 +109,13 @@ def test_inertia(dim: int, order: int, mass: str) -> None:
     def inertia_gradient(y: Any) -> Any:
         return problem.full_gradient(y) - problem.internal_forces(y)
 
-    assert relative(
-        inertia_gradient(x),
-        difference_gradient(lambda y: problem.value(y) - problem.elastic_energy(y), x, 1e-4),
-    ) < 1e-8
+    assert (
+        relative(
+            inertia_gradient(x),
+            difference_gradient(lambda y: problem.value(y) - problem.elastic_energy(y), x, 1e-4),
+        )
+        < 1e-8
+    )
     M = difference_matrix(inertia_gradient, x, 1e-2) * 0.02**2
     elastic = dense_hessian(build_quasistatic(dim, order).problem, x, project=False)
     np.testing.assert_allclose(
@@ -223,7 +226,5 @@ def test_force_scale_is_the_sum_of_the_forces_of_the_step() -> None:
     state.v[:] = 0.5
     problem.begin_step(state, 0.1)
     inertia = problem.full_gradient(state.x) + problem.load - problem.internal_forces(state.x)
-    expected = (
-        np.linalg.norm(inertia) + np.linalg.norm(problem.internal_forces(state.x)) + np.linalg.norm(problem.load)
-    )
+    expected = np.linalg.norm(inertia) + np.linalg.norm(problem.internal_forces(state.x)) + np.linalg.norm(problem.load)
     assert problem.force_scale == pytest.approx(expected, rel=1e-12)
