@@ -61,7 +61,8 @@ def build_mesh(source: PlacedMesh | FileMesh, base_dir: Path, notices: list[str]
         mesh = _build_recipe(source)
     if source.rotate is None and source.translate is None:
         return mesh
-    return replace(mesh, points=_placed(mesh.points, source.rotate, source.translate))
+    turned = {name: _placed(vectors, source.rotate, None) for name, vectors in mesh.cell_data.items()}
+    return replace(mesh, points=_placed(mesh.points, source.rotate, source.translate), cell_data=turned)
 
 
 def _build_recipe(source: PlacedMesh) -> Mesh:

@@ -169,7 +169,9 @@ def _stretched(F: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     """Unit directions (n, d) and F v with three components (n, 3)."""
     gradients, directions = np.asarray(F, dtype=np.float64), np.asarray(v, dtype=np.float64)
     if gradients.ndim != 3 or gradients.shape[1:] not in ((2, 2), (3, 3)) or directions.shape != gradients.shape[:2]:
-        raise ValueError(f"F and v must have the shapes (n, d, d) and (n, d), got {gradients.shape}, {directions.shape}")
+        raise ValueError(
+            f"F and v must have the shapes (n, d, d) and (n, d), got {gradients.shape}, {directions.shape}"
+        )
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     Y = np.zeros((len(gradients), 3))
     Y[:, : gradients.shape[1]] = np.einsum("nij,nj->ni", gradients, directions)
@@ -186,6 +188,7 @@ def energy_density(F: ArrayLike, v: ArrayLike, fibre: MuscleFibre) -> Array:
     v : (n, d) array_like
         Fibre directions in the reference state, of any length.
     fibre : MuscleFibre
+        Parameters of the fibres, the same for all.
 
     Returns
     -------
