@@ -100,7 +100,7 @@ class Visits:
         threads.
     others : (dim, n_visits) uint32
         Three times the places of the other nodes of the cell, ordered so that their volume is positive.
-    gradients : (dim * dim, n_visits)
+    gradients : (dim * n_components, n_visits)
         grad N of the node and of the others but the last, row by row [1/m].
     volumes : (n_visits,)
         Rest volume of the cell [m^3].
@@ -120,7 +120,10 @@ _OTHERS = {3: np.array([[1, 2], [2, 0], [0, 1]]), 4: np.array([[1, 3, 2], [0, 2,
 
 
 def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradients: bool = True) -> Visits:
-    """Lay out the visits to the cells of one law in one precision, the gradients left empty if not wanted."""
+    """Lay out the visits to the cells of one law in one precision, the gradients left empty if not wanted.
+
+    Gradients may have any number of components.
+    """
     from femdeform.materials import with_precision
 
     corners = numbering.place[cells.cells]
@@ -137,7 +140,7 @@ def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradie
     gradients = np.empty((0, dim * dim))
     if with_gradients:
         kept = np.concatenate([corner[:, None], other[:, :-1]], axis=1)
-        gradients = cells.gradients[cell[:, None], kept].reshape(-1, dim * dim)
+        gradients = cells.gradients[cell[:, None], kept].reshape(len(cell), -1)
     rows = np.searchsorted(nodes, numbering.color_offsets)
     return Visits(
         with_precision(cells.law, dtype),
