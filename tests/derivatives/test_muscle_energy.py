@@ -36,9 +36,7 @@ def muscle(dim: int, activation: object = 0.8) -> dict[str, object]:
 
 def bar(dim: int, order: int = 1, **more: object) -> Simulation:
     mesh = block([1.0, 0.5, 0.5][:dim], [2, 1, 1][:dim])
-    return build(
-        scene({"b": body(mesh, material("neo_hookean"), element_order=order, muscle=muscle(dim), **more)})
-    )
+    return build(scene({"b": body(mesh, material("neo_hookean"), element_order=order, muscle=muscle(dim), **more)}))
 
 
 def bent(simulation: Simulation) -> np.ndarray:
