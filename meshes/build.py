@@ -14,6 +14,7 @@ from femdeform.scene.mesh_schema import (
     CookMesh,
     FileMesh,
     FlagMesh,
+    MuscleMesh,
     PlacedMesh,
     RingMesh,
     RodMesh,
@@ -68,6 +69,8 @@ def build_mesh(source: PlacedMesh | FileMesh, base_dir: Path, notices: list[str]
 def _build_recipe(source: PlacedMesh) -> Mesh:
     if isinstance(source, BlockMesh):
         return structured.block(source)
+    if isinstance(source, MuscleMesh):
+        return structured.muscle(source)
     if isinstance(source, ClothMesh):
         return structured.cloth(source)
     if isinstance(source, CookMesh):

@@ -140,7 +140,7 @@ def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradie
     gradients = np.empty((0, dim * dim))
     if with_gradients:
         kept = np.concatenate([corner[:, None], other[:, :-1]], axis=1)
-        gradients = cells.gradients[cell[:, None], kept].reshape(len(cell), -1)
+        gradients = cells.gradients[cell[:, None], kept].reshape(len(cell), dim * cells.gradients.shape[2])
     rows = np.searchsorted(nodes, numbering.color_offsets)
     return Visits(
         with_precision(cells.law, dtype),
