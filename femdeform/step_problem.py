@@ -150,12 +150,15 @@ class LocalCells:
         Constant gradients of the shape functions [1/m].
     volumes : (n_cells,) float64
         Rest volumes [m^3] (2D: areas, per unit thickness).
+    fibres : sequence of FibreCells
+        Cells that carry muscle fibres (`femdeform.fem.fibres`), with the muscles' laws at the time of the step begun.
     """
 
     law: Any
     cells: np.ndarray[Any, np.dtype[np.int32]]
     gradients: FloatArray
     volumes: FloatArray
+    fibres: Sequence[Any] = ()
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,7 @@ class LocalStepProblem(StepProblem, Protocol):
     weak_contact: Any  # contact found anew in each step (`femdeform.contact.weak_contact.WeakContact`), or None
     lumped_mass: FloatArray  # (n_local,) [kg]
 
-    def local_cells(self, knows_links: bool = False) -> Sequence[LocalCells]:
+    def local_cells(self, knows_links: bool = False, knows_fibres: bool = False) -> Sequence[LocalCells]:
         """Cells of all bodies, one entry per law with its parameters.
 
         Parameters
@@ -193,6 +196,8 @@ class LocalStepProblem(StepProblem, Protocol):
         knows_links : bool
             Whether the method minimises the energies of `links` and `weak_contact` too; else a scene with them is
             refused.
+        knows_fibres : bool
+            Whether it knows muscle fibres; else a scene with muscles is refused.
 
         Raises
         ------

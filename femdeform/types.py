@@ -36,6 +36,8 @@ class Mesh:
         Named sets of cells.
     node_groups : dict of str to (n,) int64
         Named sets of nodes that are not facets (a corner, a mid line).
+    cell_data : dict of str to (n_cells, dim) float64
+        Named vectors of the cells, as the mesh file has them (fibre directions).
     """
 
     points: FloatArray
@@ -44,6 +46,7 @@ class Mesh:
     facet_groups: dict[str, IntArray] = field(default_factory=dict)
     cell_groups: dict[str, IntArray] = field(default_factory=dict)
     node_groups: dict[str, IntArray] = field(default_factory=dict)
+    cell_data: dict[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", np.ascontiguousarray(self.points, dtype=np.float64))

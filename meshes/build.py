@@ -14,6 +14,7 @@ from femdeform.scene.mesh_schema import (
     CookMesh,
     FileMesh,
     FlagMesh,
+    MuscleMesh,
     PlacedMesh,
     RingMesh,
     RodMesh,
@@ -61,12 +62,15 @@ def build_mesh(source: PlacedMesh | FileMesh, base_dir: Path, notices: list[str]
         mesh = _build_recipe(source)
     if source.rotate is None and source.translate is None:
         return mesh
-    return replace(mesh, points=_placed(mesh.points, source.rotate, source.translate))
+    turned = {name: _placed(vectors, source.rotate, None) for name, vectors in mesh.cell_data.items()}
+    return replace(mesh, points=_placed(mesh.points, source.rotate, source.translate), cell_data=turned)
 
 
 def _build_recipe(source: PlacedMesh) -> Mesh:
     if isinstance(source, BlockMesh):
         return structured.block(source)
+    if isinstance(source, MuscleMesh):
+        return structured.muscle(source)
     if isinstance(source, ClothMesh):
         return structured.cloth(source)
     if isinstance(source, CookMesh):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from femdeform.types import IntArray
+from femdeform.types import FloatArray, IntArray
 from meshes.parts import MeshParts, NamedPart, PartKind, fault
 
 # Cell data of other programs that number regions; only these become groups, by their distinct values.
@@ -95,6 +95,7 @@ def _parts_of(content: Any, name: str) -> MeshParts:
         chunks[kind].append(nodes)
     cells = {kind: np.concatenate(blocks) for kind, blocks in chunks.items()}
     named: list[NamedPart] = []
+    vectors = _vectors(content, origins)
     for key, per_block in content.cell_data.items():
         for values, (kind, start, rows) in zip(per_block, origins, strict=True):
             array = np.asarray(values)
@@ -107,7 +108,22 @@ def _parts_of(content: Any, name: str) -> MeshParts:
                     named.append(NamedPart(key.removeprefix(GROUP_PREFIX), kind, members))
             elif key in _REGION_ARRAYS:
                 named += numbered_parts(kind, of_cells, start)
-    return MeshParts(points, cells, named, notices)
+    return MeshParts(points, cells, named, notices, vectors)
+
+
+def _vectors(content: Any, origins: list[tuple[PartKind, int, IntArray]]) -> dict[tuple[str, PartKind], FloatArray]:
+    """Cell data with two or three components, where all cells of a kind have it."""
+    found: dict[tuple[str, PartKind], FloatArray] = {}
+    for key, per_block in content.cell_data.items():
+        for wanted in {kind for kind, _, _ in origins}:
+            arrays = [
+                np.asarray(values, dtype=np.float64)[rows]
+                for values, (kind, _, rows) in zip(per_block, origins, strict=True)
+                if kind == wanted and np.ndim(values) == 2 and np.shape(values)[1] in (2, 3)
+            ]
+            if len(arrays) == sum(kind == wanted for kind, _, _ in origins):
+                found[key, wanted] = np.concatenate(arrays)
+    return found
 
 
 def numbered_parts(kind: PartKind, numbers: IntArray, start: int = 0) -> list[NamedPart]:

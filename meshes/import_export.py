@@ -12,7 +12,7 @@ from femdeform.types import Mesh
 from meshes.fill import fill_surface
 from meshes.parts import MeshParts, assemble
 from meshes.quality import check_points
-from meshes.readers import STEP_SUFFIXES, as_plane, check_exists, read_parts_of, read_step
+from meshes.readers import STEP_SUFFIXES, as_plane, check_exists, in_space, read_parts_of, read_step
 from meshes.writers import write_mesh
 
 __all__ = ["import_mesh", "write_mesh"]
@@ -57,7 +57,9 @@ def import_mesh(source: FileMesh, base_dir: Path) -> tuple[Mesh, list[str]]:
         points = as_plane(points, name)
     elif source.dim == 3 and points.shape[1] == 2:
         points = np.concatenate([points, np.zeros((len(points), 1))], axis=1)
-    parts = MeshParts(points, parts.cells, parts.named, parts.notices)
+    dim = points.shape[1]
+    vectors = {key: in_space(rows, dim) for key, rows in parts.vectors.items()}
+    parts = MeshParts(points, parts.cells, parts.named, parts.notices, vectors)
     if source.fill:
         parts = fill_surface(parts, name, source.element_size)
     mesh = assemble(parts, name, source.cell_type, source.drop_unreferenced)

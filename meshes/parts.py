@@ -41,12 +41,15 @@ class MeshParts:
         Named parts; several may share a name and a kind.
     notices : list of str
         What had to be changed while reading.
+    vectors : dict of (str, str) to (n, k) float64
+        Vectors of the cells by name and kind, a row for each of ``cells[kind]``.
     """
 
     points: FloatArray
     cells: dict[PartKind, IntArray]
     named: list[NamedPart] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
+    vectors: dict[tuple[str, PartKind], FloatArray] = field(default_factory=dict)
 
 
 def fault(name: str, message: str) -> MeshError:
@@ -54,9 +57,7 @@ def fault(name: str, message: str) -> MeshError:
     return MeshError([Fault(name, 0, "", message)])
 
 
-def assemble(
-    parts: MeshParts, name: str, wanted: Wanted | None = None, drop_unreferenced: bool = False
-) -> Mesh:
+def assemble(parts: MeshParts, name: str, wanted: Wanted | None = None, drop_unreferenced: bool = False) -> Mesh:
     """Build the mesh of one kind of cells, with its boundary and its named groups.
 
     A named part of the cells' own kind becomes a cell group; one of their facets becomes a facet group as far
@@ -118,7 +119,10 @@ def assemble(
                 groups.nodes.setdefault(part.name, inside)
     if len(boundary):
         groups.facets["boundary"] = boundary
-    return Mesh(points, cells, cell_type, groups.facets, groups.cells, groups.nodes)
+    vectors = {}
+    if wanted not in ("surface", "edges"):
+        vectors = {key: rows for (key, kind), rows in parts.vectors.items() if kind == cell_type}
+    return Mesh(points, cells, cell_type, groups.facets, groups.cells, groups.nodes, vectors)
 
 
 @dataclass(frozen=True)

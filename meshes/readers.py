@@ -103,14 +103,17 @@ def _read_npz(path: Path, name: str) -> MeshParts:
         raise fault(name, "no array `tets`, `triangles`, `lines` or `cells` in it")
     highest = max(cells, key=lambda kind: PART_SIZES[kind])
     named: list[NamedPart] = []
+    vectors: dict[tuple[str, PartKind], FloatArray] = {}
     for key, array in arrays.items():
+        if np.issubdtype(array.dtype, np.floating) and array.shape in [(len(cells[highest]), k) for k in (2, 3)]:
+            vectors[key, highest] = array.astype(np.float64)
         if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
             continue
         rows = array.astype(np.int64)
         if len(rows) and (rows.min() < 0 or rows.max() >= len(cells[highest])):
             raise fault(name, f"array `{key}` has indices outside 0..{len(cells[highest]) - 1}")
         named.append(NamedPart(key, highest, rows))
-    return MeshParts(points, cells, named)
+    return MeshParts(points, cells, named, vectors=vectors)
 
 
 def _read_obj(path: Path, name: str) -> MeshParts:
@@ -194,3 +197,11 @@ def as_plane(points: FloatArray, name: str) -> FloatArray:
     if not spread <= 1e-9 * float(np.ptp(points, axis=0).max(initial=0.0)):
         raise fault(name, f"dim: 2 needs a flat mesh, but z ranges over {spread:g} m")
     return np.ascontiguousarray(points[:, :2])
+
+
+def in_space(vectors: FloatArray, dim: int) -> FloatArray:
+    """Vectors (n, k) with as many components as the points have: the last ones dropped, or zero."""
+    out = np.zeros((len(vectors), dim))
+    k = min(dim, vectors.shape[1])
+    out[:, :k] = vectors[:, :k]
+    return out

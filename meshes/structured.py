@@ -1,4 +1,4 @@
-"""Structured recipes in plain numpy: block, cloth, Cook's panel, flag, ring, rod, net of rods, sphere surface."""
+"""Structured recipes in plain numpy: block, muscle, cloth, panel, flag, ring, rod, net of rods, sphere surface."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from femdeform.scene.mesh_schema import (
     CookMesh,
     Diagonals,
     FlagMesh,
+    MuscleMesh,
     RingMesh,
     RodMesh,
     RodNetMesh,
@@ -32,6 +33,8 @@ _FIVE_MIRRORED = (_FIVE ^ 1)[:, [0, 1, 3, 2]]
 _SIX = np.array(
     [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]], dtype=np.int64
 )
+# How far the recipe `muscle` rounds a square cross-section off: 0.5 would be a disc.
+_ROUNDNESS = 0.4
 _RIGHT = np.array([[0, 1, 3], [0, 3, 2]], dtype=np.int64)
 _LEFT = np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int64)
 
@@ -113,6 +116,48 @@ def block(source: BlockMesh) -> Mesh:
         return points
 
     return _structured(source.cells, place, source.split, source.diagonals)
+
+
+def muscle(source: MuscleMesh) -> Mesh:
+    """Spindle between two bones; ``left`` and ``right`` are the far ends of the bones, ``side`` is all around."""
+    along, across = source.cells
+    bone = max(2, round(source.bone_length * along / source.length))
+    total = along + 2 * bone
+    inside = np.linspace(0.0, source.length, along + 1)
+    outside = np.linspace(0.0, source.bone_length, bone + 1)[1:]
+    x = np.concatenate([-outside[::-1], inside, source.length + outside])
+    belly = np.clip((inside - source.tendon_length) / (source.length - 2.0 * source.tendon_length), 0.0, 1.0)
+    spindle = source.end_radius + (source.radius - source.end_radius) * np.sin(np.pi * belly) ** 2
+    flat = np.full(bone, source.bone_radius)
+    radius = np.concatenate([flat, spindle, flat])
+
+    def place(unit: FloatArray) -> FloatArray:
+        layer = np.rint(unit[:, 0] * total).astype(np.int64)
+        u, v = 2.0 * unit[:, 1] - 1.0, 2.0 * unit[:, 2] - 1.0
+        # Square to disc; with a little less than all of it the four edges do not flatten.
+        y = u * np.sqrt(1.0 - _ROUNDNESS * v * v)
+        z = v * np.sqrt(1.0 - _ROUNDNESS * u * u)
+        return np.stack([x[layer], radius[layer] * y, radius[layer] * z], axis=1)
+
+    mesh = _structured((total, across, across), place, source.split)
+    layer = np.arange(mesh.n_cells) // source.split % total
+    middle = 0.5 * (x[:-1] + x[1:])[layer]
+    is_muscle = (layer >= bone) & (layer < bone + along)
+    in_belly = (middle > source.tendon_length) & (middle < source.length - source.tendon_length)
+    parts = {
+        "muscle": is_muscle,
+        "belly": is_muscle & in_belly,
+        "tendons": is_muscle & ~in_belly,
+        "origin_tendon": is_muscle & (middle <= source.tendon_length),
+        "insertion_tendon": is_muscle & (middle >= source.length - source.tendon_length),
+        "origin_bone": layer < bone,
+        "insertion_bone": layer >= bone + along,
+    }
+    groups = {name: np.flatnonzero(mask) for name, mask in parts.items() if mask.any()}
+    facets = mesh.facet_groups
+    side = np.concatenate([facets[name] for pair in SIDES[1:] for name in pair])
+    named = {"left": facets["left"], "right": facets["right"], "side": side, "boundary": facets["boundary"]}
+    return Mesh(mesh.points, mesh.cells, "tetra", named, groups)
 
 
 def cloth(source: ClothMesh) -> Mesh:

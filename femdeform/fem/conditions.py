@@ -10,6 +10,7 @@ import numpy as np
 from femdeform.fem.discretization import Discretization
 from femdeform.fem.node_sets import NodeSets, facet_loads, facet_measure, holds_facets
 from femdeform.scene import schema
+from femdeform.scene.amplitude_schema import Amplitude
 from femdeform.scene.selection_schema import Selection
 from femdeform.scene.selections import select_facets, select_nodes
 from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
@@ -26,7 +27,7 @@ class Curve:
         return float(np.interp(time, self.times, self.values))
 
 
-def amplitude_curve(amplitude: schema.Amplitude | None, end: float, quasistatic: bool) -> Curve:
+def amplitude_curve(amplitude: Amplitude | None, end: float, quasistatic: bool) -> Curve:
     """Curve of a load: as given, else a ramp over a quasistatic run, else one."""
     if amplitude is not None:
         return Curve(np.array(amplitude.times), np.array(amplitude.values))

@@ -7,15 +7,16 @@ the kernels of `femdeform.fem.kernels`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from femdeform.errors import Fault, MeshError
+from femdeform.errors import Fault, InputError, MeshError
+from femdeform.fem.fibres import FibreCells, FibreInput, fibre_cells
 from femdeform.parallel import Partition
-from femdeform.types import FloatArray, IntArray, Mesh
+from femdeform.types import BoolArray, FloatArray, IntArray, Mesh
 
 Kind = Literal["solid", "membrane", "rod"]
 
@@ -42,6 +43,8 @@ class BodyInput:
     regions : list of (cells, law, density)
         Disjoint sets of cells that cover the mesh, each with its law (a NamedTuple of `femdeform.materials`) and
         density [kg/m^3].
+    muscles : list of FibreInput
+        Cells of a solid that carry muscle fibres beside their law.
     """
 
     mesh: Mesh
@@ -50,6 +53,7 @@ class BodyInput:
     consistent_mass: bool
     measure: float
     regions: list[tuple[IntArray, Any, float]]
+    muscles: Sequence[FibreInput] = ()
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,8 @@ class ElementGroup:
         Quadrature weights times volume [m^3] (2D: per unit thickness).
     cell_ids : (n_cells,) int64
         Cell of the body's mesh that each row is.
+    fibres : tuple of FibreCells
+        Cells that carry muscle fibres.
     """
 
     body: str
@@ -81,6 +87,7 @@ class ElementGroup:
     gradients: FloatArray
     weights: FloatArray
     cell_ids: IntArray
+    fibres: tuple[FibreCells, ...] = ()
 
     @property
     def n_cells(self) -> int:
@@ -235,6 +242,51 @@ def _elements(body: BodyInput, cells: IntArray) -> Iterator[tuple[slice, _Elemen
             yield part, _codimensional_elements(body.mesh, body.measure, cells[part])
 
 
+def harmonic_values(points: FloatArray, cells: IntArray, low: BoolArray, high: BoolArray) -> FloatArray:
+    """Nodal values of the harmonic function of linear elements that is 0 on some nodes and 1 on others.
+
+    Parameters
+    ----------
+    points : (n_points, dim) float64
+        All of them nodes of cells [m].
+    cells : (n_cells, dim + 1) int64
+        Triangles in 2D or tetrahedra, each connected part with nodes of both kinds.
+    low, high : (n_points,) bool
+        Where the function is 0 and 1.
+
+    Returns
+    -------
+    (n_points,) float64
+
+    Raises
+    ------
+    InputError
+        If the equations cannot be solved.
+    """
+    import scipy.sparse
+    import scipy.sparse.linalg
+    import skfem
+    from skfem.models.poisson import laplace
+
+    # Conductivity has no unit: coordinates of the size of one keep the numbers of any mesh in range.
+    scaled = (points - points.mean(axis=0)) / np.ptp(points, axis=0).max()
+    mesh_class, element = (
+        (skfem.MeshTri1, skfem.ElementTriP1) if points.shape[1] == 2 else (skfem.MeshTet1, skfem.ElementTetP1)
+    )
+    shape = mesh_class(np.ascontiguousarray(scaled.T), np.ascontiguousarray(cells.T), sort_t=False, validate=False)
+    A = laplace.assemble(skfem.Basis(shape, element())).tocsr()
+    values = high.astype(np.float64)
+    free = np.flatnonzero(~(low | high))
+    if not free.size:
+        return values
+    K, b = A[free][:, free], -(A[free] @ values)
+    inverse = scipy.sparse.diags(1.0 / K.diagonal())
+    values[free], failed = scipy.sparse.linalg.cg(K, b, rtol=1e-12, atol=0.0, M=inverse, maxiter=20 * free.size)
+    if failed or not np.isfinite(values).all():
+        raise InputError("the harmonic field of fibres cannot be solved for; is the mesh distorted?")
+    return values
+
+
 def _lump(mass: FloatArray, order: int) -> FloatArray:
     """Nodal masses (n_cells, n_local): row sums for P1, diagonal scaling for P2, whose row sums are negative."""
     if order == 1:
@@ -377,7 +429,9 @@ def _element_group(
             consistent.append((here, mass))
         np.add.at(nodal[:, 0], here, _lump(mass, body.order))
         np.add.at(nodal[:, 1], here, mass.sum(axis=2))
-    return ElementGroup(name, body.kind, law, numbers, gradients, weights, cells)
+    found = [fibre_cells(muscle, cells, gradients) for muscle in body.muscles]
+    fibres = tuple(part for part in found if part.rows.size)
+    return ElementGroup(name, body.kind, law, numbers, gradients, weights, cells, fibres)
 
 
 def _assemble_mass(

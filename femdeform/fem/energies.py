@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from femdeform.fem import codimensional, kernels
+from femdeform.fem import codimensional, fibre_kernels, kernels
 from femdeform.fem.conditions import FacetPressure
 from femdeform.fem.discretization import EDGES, ElementGroup
 from femdeform.types import FloatArray
@@ -34,7 +34,8 @@ class CellTerm(Protocol):
 class ElasticEnergy:
     """Sum over cells of volume times energy density; one instance per element group.
 
-    Membranes and rods use the three-dimensional law with stretch one across.
+    Membranes and rods use the three-dimensional law with stretch one across. Muscle fibres of the group's cells are a
+    part of it; their Hessian is projected by itself, in closed form.
     """
 
     def __init__(self, group: ElementGroup) -> None:
@@ -45,10 +46,17 @@ class ElasticEnergy:
         self._energies = np.empty(group.n_cells)
         self._kernels = kernels if group.kind == "solid" else codimensional
 
+    def set_time(self, time: float) -> None:
+        """Set muscles to their activation at a time [s]."""
+        for fibres in self.group.fibres:
+            fibres.muscle.set_time(time)
+
     def cell_energies(self, x: FloatArray) -> FloatArray:
         """Elastic energy of every cell [J]; a buffer that the next call overwrites."""
         g = self.group
         self._kernels.cell_energies(x, g.cells, g.gradients, g.weights, g.law, self._dim, self._nodes, self._energies)
+        for f in g.fibres:
+            fibre_kernels.add_energies(x, g.cells, g.weights, f.rows, f.weights, f.muscle.law, self._energies)
         return self._energies
 
     def value(self, x: FloatArray) -> float:
@@ -56,9 +64,11 @@ class ElasticEnergy:
         return float(np.sum(self.cell_energies(x)))
 
     def gradient(self, x: FloatArray, slots: FloatArray, first: int) -> None:
-        """Write the cells' nodal forces V P grad N [N]."""
+        """Write the cells' nodal forces V P grad N [N], those of fibres included."""
         g = self.group
         self._kernels.cell_forces(x, g.cells, g.gradients, g.weights, g.law, self._dim, self._nodes, slots, first)
+        for f in g.fibres:
+            fibre_kernels.add_forces(x, g.cells, g.weights, f.rows, f.weights, f.muscle.law, slots, first)
 
     def hessian(self, x: FloatArray, project: bool, blocks: FloatArray, first: int) -> None:
         """Write the cells' tangent blocks [N/m], each cell positive semi-definite if `project`."""
@@ -66,6 +76,8 @@ class ElasticEnergy:
         self._kernels.cell_hessians(
             x, g.cells, g.gradients, g.weights, g.law, project, self._dim, self._nodes, blocks, first
         )
+        for f in g.fibres:
+            fibre_kernels.add_hessians(x, g.cells, g.weights, f.rows, f.weights, f.muscle.law, project, blocks, first)
 
 
 # Quadrature on the reference facet: points and weights that integrate the pressure of quadratic facets exactly

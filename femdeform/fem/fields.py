@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from femdeform.fem import fibre_kernels
 from femdeform.fem.discretization import ElementGroup
 from femdeform.fem.energies import ElasticEnergy
 from femdeform.types import FloatArray
@@ -77,6 +78,10 @@ def _average_stress(group: ElementGroup, x: FloatArray, spatial: bool) -> FloatA
         full = np.asarray(batch.pk1(spread.reshape(-1, 3, 3), law)).reshape(spread.shape)
         full[..., :2, :2] = P
         F, P = spread, full
+    for f in group.fibres:
+        t = np.empty((*f.weights.shape[:2], 3))
+        fibre_kernels.stresses(x, group.cells, f.rows, f.weights, f.muscle.law, t)
+        P[f.rows, :, :, :d] += t[..., None] * f.directions[:, None, None, :]
     if spatial:
         P = P @ np.swapaxes(F, -1, -2) / np.linalg.det(F)[..., None, None]
     return np.asarray(np.einsum("eq,eqij->eij", group.weights, P) / group.weights.sum(axis=1)[:, None, None])

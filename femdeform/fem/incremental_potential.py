@@ -172,12 +172,14 @@ class IncrementalPotential:
         self.force_scale = inertia + internal + self.partition.norm(self.load)
 
     def set_loads(self, time: float) -> None:
-        """Evaluate gravity, dead loads and pressures at a time."""
+        """Evaluate gravity, dead loads, pressures and the activation of muscles at a time."""
         self.conditions.dead_load(time, self.load)
         mass = self.discretization.row_mass if self.quasistatic else self._load_mass()
         self.load += mass[:, None] * self.conditions.acceleration(time)
         for pressure in self.pressures:
             pressure.set_time(time)
+        for term in self.elastic:
+            term.set_time(time)
 
     def _load_mass(self) -> FloatArray:
         # Free fall is exact when gravity acts on the same mass as inertia.
@@ -459,10 +461,12 @@ class IncrementalPotential:
         """Nodal masses (n_local,) [kg]."""
         return self.discretization.lumped_mass
 
-    def local_cells(self, knows_links: bool = False) -> list[LocalCells]:
+    def local_cells(self, knows_links: bool = False, knows_fibres: bool = False) -> list[LocalCells]:
         """See `LocalStepProblem`: the cells of all bodies, merged by law."""
         if self.weak_contact is not None and not knows_links:
             raise InputError("contact: this method does not know weak constraints; use projected_newton or pbng")
+        if not knows_fibres and any(term.group.fibres for term in self.elastic):
+            raise InputError("muscle: this method does not know fibres; use projected_newton, pbng or fp_pxpbd")
         if self.links is not None and not knows_links:
             raise InputError("links: this method does not know them; use projected_newton, mixed_fem or pbng")
         if self.partition.n_owned < self.partition.n_global:
@@ -479,7 +483,7 @@ class IncrementalPotential:
                     f"bodies.{group.body}: a sweep over the nodes knows linear triangles in 2D and tetrahedra in 3D"
                 )
             # Gradients are constant: a rule of several points adds up to one.
-            part = LocalCells(group.law, group.cells, group.gradients[:, 0], group.weights.sum(axis=1))
+            part = LocalCells(group.law, group.cells, group.gradients[:, 0], group.weights.sum(axis=1), group.fibres)
             by_law.setdefault((type(group.law), tuple(group.law)), []).append(part)
         return [
             parts[0]
@@ -489,6 +493,11 @@ class IncrementalPotential:
                 np.concatenate([part.cells for part in parts]),
                 np.concatenate([part.gradients for part in parts]),
                 np.concatenate([part.volumes for part in parts]),
+                tuple(
+                    fibres.shifted(sum(len(before.cells) for before in parts[:k]))
+                    for k, part in enumerate(parts)
+                    for fibres in part.fibres
+                ),
             )
             for parts in by_law.values()
         ]

@@ -17,6 +17,7 @@ from femdeform.fem.incremental_potential import IncrementalPotential, State
 from femdeform.materials import law_for, supports_codimension
 from femdeform.run.contacts import make_contacts, make_weak_contact
 from femdeform.run.links import make_links
+from femdeform.run.muscles import muscle_inputs
 from femdeform.scene import schema
 from femdeform.scene.constraint_schema import CELL_SWEEPS
 from femdeform.scene.position_schema import PBNGSolver
@@ -64,14 +65,15 @@ class Simulation:
         self.linear_solver.destroy()
 
 
-def body_input(name: str, body: Any, mesh: Mesh) -> BodyInput:
+def body_input(name: str, body: Any, meshes: Mapping[str, Mesh]) -> BodyInput:
     """Collect what the discretization needs of one body of a scene.
 
     Raises
     ------
     InputError
-        If the regions do not cover the mesh, or a law cannot be used for this kind of body.
+        If the regions do not cover the mesh, a law cannot be used for this kind of body, or a muscle has no direction.
     """
+    mesh = meshes[name]
     left = np.ones(mesh.n_cells, dtype=bool)
     regions: list[tuple[IntArray, Any, float]] = []
     materials = [(mesh.cell_groups[group], material) for group, material in body.regions.items()]
@@ -90,7 +92,8 @@ def body_input(name: str, body: Any, mesh: Mesh) -> BodyInput:
         if any(not supports_codimension(law) for _, law, _ in regions):
             raise InputError(f"bodies.{name}: the linear law turns with the body only in solids; choose another law")
     regions = [region for region in regions if region[0].size]
-    return BodyInput(mesh, body.kind, body.element_order, body.mass == "consistent", measure, regions)
+    muscles = muscle_inputs(name, body, meshes)
+    return BodyInput(mesh, body.kind, body.element_order, body.mass == "consistent", measure, regions, muscles)
 
 
 def make_linear_solver(options: schema.LinearSolver, ranks: int, notices: list[str]) -> Any:
@@ -138,7 +141,7 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
                 f"bodies.{name}: stable_neo_hookean in 2D is a two-dimensional law; it agrees with the 3D law in plane "
                 "strain at small strain only (docs/methods/materials.md)"
             )
-    bodies = {name: body_input(name, body, meshes[name]) for name, body in scene.bodies.items()}
+    bodies = {name: body_input(name, body, meshes) for name, body in scene.bodies.items()}
     ranks = 1 if comm is None else comm.Get_size()
     cell_rank = None
     if comm is not None:

@@ -18,6 +18,7 @@ from femdeform.scene.link_checks import link_findings
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
 from femdeform.scene.meshing import survey_meshes
 from femdeform.scene.mixed_schema import MixedFEMSolver
+from femdeform.scene.muscle_checks import muscle_findings
 from femdeform.scene.partial import sound_part
 from femdeform.scene.position_schema import PBNGSolver
 from femdeform.scene.quantity_checks import quantity_findings
@@ -55,6 +56,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
         *contact_findings(loaded.scene, meshes, frozenset(coarse)),
         *link_findings(loaded.scene, meshes, frozenset(coarse)),
+        *muscle_findings(loaded.scene, meshes, frozenset(coarse)),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
     ]

@@ -108,6 +108,31 @@ class BlockMesh(PlacedMesh):
         return self
 
 
+class MuscleMesh(PlacedMesh):
+    """A spindle of muscle along x between two bones; the muscle reaches from x = 0 to its length.
+
+    Cell groups: `muscle`, of which `belly` and `tendons` are parts, these in turn `origin_tendon` and
+    `insertion_tendon`; `origin_bone` (x < 0) and `insertion_bone`.
+    """
+
+    recipe: Literal["muscle"] = Field(description="spindle-shaped muscle between two bones, structured")
+    length: _Positive = Field(default=0.2, description="length of the muscle with its tendons [m]")
+    radius: _Positive = Field(default=0.025, description="radius of the belly in the middle [m]")
+    end_radius: _Positive = Field(default=0.01, description="radius of the tendons [m]")
+    tendon_length: _NonNegative = Field(default=0.03, description="length of each tendon [m]")
+    bone_length: _Positive = Field(default=0.02, description="length of each bone [m]")
+    bone_radius: _Positive = Field(default=0.015, description="radius of the bones away from the muscle [m]")
+    cells: _Counts2 = Field(default=(24, 6), description="cells along the muscle and across")
+    split: Literal[5, 6] = Field(default=5, description="tetrahedra of a cell, as in `block`")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MuscleMesh:
+        if 2.0 * self.tendon_length >= self.length:
+            raise ValueError("tendon_length: two of them must be shorter than the muscle")
+        _check_cell_count((2 * self.cells[0], self.cells[1], self.cells[1]))
+        return self
+
+
 class ClothMesh(PlacedMesh):
     """A flat rectangle of triangles in 3D, centred in the origin."""
 
@@ -465,6 +490,7 @@ class FileMesh(MeshModel):
 
 Recipe = (
     BlockMesh
+    | MuscleMesh
     | ClothMesh
     | SphereSurfaceMesh
     | RodMesh
@@ -515,6 +541,7 @@ def _has_source(value: Any) -> Any:
 MeshSource = Annotated[
     Annotated[
         Annotated[BlockMesh, Tag("block")]
+        | Annotated[MuscleMesh, Tag("muscle")]
         | Annotated[ClothMesh, Tag("cloth")]
         | Annotated[SphereSurfaceMesh, Tag("sphere_surface")]
         | Annotated[RodMesh, Tag("rod")]

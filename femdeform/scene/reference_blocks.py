@@ -89,8 +89,9 @@ class Block:
 
     @property
     def key(self) -> str:
-        """The first key that takes it."""
-        return self.owners[0][1]
+        """The key that takes it most often, the first of those."""
+        keys = [key for _, key in self.owners]
+        return max(keys, key=keys.count)
 
     @property
     def has_several_keys(self) -> bool:

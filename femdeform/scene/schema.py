@@ -10,17 +10,19 @@ fault is then reported at that key.
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from femdeform import registry
+from femdeform.scene.amplitude_schema import Amplitude, check_increasing
 from femdeform.scene.constraint_schema import BPXPBDSolver, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.link_schema import Link
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.mixed_schema import MixedFEMSolver
+from femdeform.scene.muscle_schema import Muscle
 from femdeform.scene.position_schema import PBNGSolver
 from femdeform.scene.quantity_schema import Expect, Quantity
 from femdeform.scene.scene_model import (
@@ -135,6 +137,21 @@ class SolidBody(_BodyModel):
         description="surface of triangles that pictures show in place of a body of tetrahedra; it follows the cells "
         "around its points",
     )
+    muscle: Muscle | None = Field(default=None, description="muscle fibres in all cells, beside the material")
+    muscles: dict[str, Muscle] = Field(
+        default_factory=dict, description="muscle fibres in named cell groups, each with its own activation"
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> SolidBody:
+        if self.muscle is not None and self.muscles:
+            raise ValueError("muscles: `muscle` means all cells already; use one of the two")
+        return self
+
+    @property
+    def all_muscles(self) -> Sequence[tuple[str | None, Muscle]]:
+        """Muscles by their cell group; None for all cells."""
+        return ((None, self.muscle),) if self.muscle is not None else tuple(self.muscles.items())
 
 
 class MembraneBody(_BodyModel):
@@ -156,25 +173,6 @@ Body = Annotated[
 
 
 # ------------------------------------------------------------------------------------------------ conditions
-
-
-def _check_increasing(times: list[float]) -> None:
-    if any(b <= a for a, b in itertools.pairwise(times)):
-        raise ValueError("times: must increase from entry to entry")
-
-
-class Amplitude(SceneModel):
-    """A factor over time, piecewise linear, constant outside its range."""
-
-    times: list[Finite] = Field(min_length=2, description="increasing times [s]")
-    values: list[Finite] = Field(min_length=2, description="factor at each time [-]")
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Amplitude:
-        if len(self.times) != len(self.values):
-            raise ValueError(f"values: {len(self.values)} values for {len(self.times)} times")
-        _check_increasing(self.times)
-        return self
 
 
 class _ConditionModel(SceneModel):
@@ -240,7 +238,7 @@ class Path(_Support):
     def _consistent(self) -> Path:
         if len(self.times) != len(self.displacements):
             raise ValueError(f"displacements: {len(self.displacements)} displacements for {len(self.times)} times")
-        _check_increasing(self.times)
+        check_increasing(self.times)
         return self
 
 

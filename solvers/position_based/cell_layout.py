@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from femdeform.fem.fibres import FibreCells
 from femdeform.step_problem import LocalCells, LocalStepProblem
 from femdeform.types import BoolArray, FloatArray, IntArray
 from solvers.coloring import color, incidence
@@ -36,6 +37,8 @@ class CellBatch:
         First cell of each colour.
     cells : (n_cells, dim + 1) int64
         Nodes of the problem.
+    fibres : tuple of FibreCells
+        Cells that carry muscle fibres.
     """
 
     law: Any
@@ -45,6 +48,7 @@ class CellBatch:
     masks: FloatArray | tuple[()]
     offsets: IntArray
     cells: IntArray
+    fibres: tuple[FibreCells, ...]
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class CellLayout:
     batches: list[CellBatch]
 
 
-def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
+def lay_out_cells(problem: LocalStepProblem, stride: int, knows_fibres: bool = False) -> CellLayout:
     """Colour and sort the cells of a problem; cells without anything to move are left out.
 
     Parameters
@@ -74,8 +78,10 @@ def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
         With linear triangles or tetrahedra.
     stride : int
         Numbers a node.
+    knows_fibres : bool
+        Whether the sweep knows muscle fibres; else they are refused.
     """
-    groups = list(problem.local_cells())
+    groups = list(problem.local_cells(knows_fibres=knows_fibres))
     moves: BoolArray = np.any(problem.free, axis=1)
     n_nodes = len(problem.points)
     parts = [_moving(group, moves) for group in groups]
@@ -102,7 +108,8 @@ def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
 
 def _moving(group: LocalCells, moves: BoolArray) -> LocalCells:
     rows = np.flatnonzero(moves[group.cells].any(axis=1))
-    return LocalCells(group.law, group.cells[rows], group.gradients[rows], group.volumes[rows])
+    fibres = tuple(part.taken(rows, len(group.cells)) for part in group.fibres)
+    return LocalCells(group.law, group.cells[rows], group.gradients[rows], group.volumes[rows], fibres)
 
 
 def _batch(
@@ -129,4 +136,5 @@ def _batch(
         masks,
         np.searchsorted(colors, np.arange(n_colors + 1)).astype(np.int64),
         cells,
+        tuple(part.taken(rows, len(group.cells)) for part in group.fibres),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from femdeform.errors import InputError
 from femdeform.step_problem import LocalStepProblem
 from femdeform.types import FloatArray, IntArray
 from solvers.position_based import constraint_kernels, piola_kernels
+from solvers.position_based.cell_fibres import CellFibres
 from solvers.position_based.cell_layout import CellBatch, lay_out_cells
 from solvers.position_based.constraints import PAIRED, VANISHING
 from solvers.position_based.nodal_blocks import is_bounded
@@ -38,9 +40,10 @@ class CellSweep:
 
     stride = 4
     blend = 1.0
+    knows_fibres = False
 
     def __init__(self, problem: LocalStepProblem) -> None:
-        self._layout = lay_out_cells(problem, self.stride)
+        self._layout = lay_out_cells(problem, self.stride, self.knows_fibres)
         self.n_colors = self._layout.n_colors
         self.n_nodes, self.dim = problem.points.shape
         self._dim = (0,) * self.dim
@@ -223,6 +226,10 @@ class _BasedSweep(CellSweep):
         """``w_i^-1`` times what each cell of a batch adds to the base points, without gradients (n_cells, d, d)."""
         raise NotImplementedError
 
+    def _push_corners(self, k: int) -> Iterator[FloatArray]:
+        """What else cells of a batch add, over w_i, corner by corner (n_cells, d + 1, d)."""
+        yield from ()
+
     def _refresh(self) -> None:
         """Make the base points anew from what the cells hold."""
         dim, n = self.dim, self.n_nodes
@@ -231,6 +238,8 @@ class _BasedSweep(CellSweep):
             gradients = batch.gradients.reshape(-1, dim, dim)
             gradients = np.concatenate([-gradients.sum(axis=1, keepdims=True), gradients], axis=1)
             parts = np.einsum("eab,eib->eia", self._push(k), gradients)
+            for more in self._push_corners(k):
+                parts = parts + more
             places = (batch.corners // self.stride).astype(np.int64).ravel()
             for a in range(dim):
                 total[:, a] += np.bincount(places, parts[:, :, a].ravel(), minlength=n)
@@ -309,7 +318,7 @@ class BlendedSweep(_BasedSweep):
 
 
 class PiolaSweep(_BasedSweep):
-    """FP-PXPBD.
+    """FP-PXPBD; after the stresses of the cells of a colour the tensions of their muscle fibres.
 
     Parameters
     ----------
@@ -323,6 +332,7 @@ class PiolaSweep(_BasedSweep):
     """
 
     blend = 0.0
+    knows_fibres = True
 
     def __init__(
         self, problem: LocalStepProblem, local: int = 3, exact: bool = False, search: bool | None = None
@@ -330,6 +340,7 @@ class PiolaSweep(_BasedSweep):
         super().__init__(problem)
         self.local, self.exact = local, exact
         self._search = [(exact or not is_bounded(batch.law)) if search is None else search for batch in self.batches]
+        self._fibres = [[CellFibres(batch, part, self.dim) for part in batch.fibres] for batch in self.batches]
 
     @property
     def stresses(self) -> list[FloatArray]:
@@ -339,6 +350,16 @@ class PiolaSweep(_BasedSweep):
     def _push(self, k: int) -> FloatArray:
         P = self._held[k].reshape(-1, self.dim, self.dim)
         return -self.h2 * self.batches[k].volumes[:, None, None] * P
+
+    def _push_corners(self, k: int) -> Iterator[FloatArray]:
+        for fibres in self._fibres[k]:
+            yield fibres.push(self.h2, len(self.batches[k].volumes))
+
+    def _forget(self) -> None:
+        super()._forget()
+        for parts in self._fibres:
+            for fibres in parts:
+                fibres.pulls[:] = 0.0
 
     def _visit(self, k: int, batch: CellBatch, first: int, last: int, reverse: bool) -> None:
         b = batch
@@ -358,6 +379,9 @@ class PiolaSweep(_BasedSweep):
             self._x,
             self._held[k],
         )
+        color = int(np.searchsorted(b.offsets, first, side="right")) - 1
+        for fibres in self._fibres[k]:
+            fibres.visit(color, self.h2, self._x)
 
 
 def require_pairs(batches: list[CellBatch], known: tuple[type, ...]) -> None:

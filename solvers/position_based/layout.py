@@ -103,8 +103,9 @@ class Visits:
         threads.
     others : (dim, n_visits) uint32
         Three times the places of the other nodes of the cell, ordered so that their volume is positive.
-    gradients : (dim * dim, n_visits)
-        grad N of the node and of the others but the last, row by row [1/m]; (dim * dim, 0) where they are not wanted.
+    gradients : (dim * n_components, n_visits)
+        grad N of the node and of the others but the last, row by row [1/m]; (dim * n_components, 0) where they are not
+        wanted.
     volumes : (n_visits,)
         Rest volume of the cell [m^3].
     """
@@ -123,7 +124,10 @@ _OTHERS = {3: np.array([[1, 2], [2, 0], [0, 1]]), 4: np.array([[1, 3, 2], [0, 2,
 
 
 def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradients: bool = True) -> Visits:
-    """Lay out the visits to the cells of one law in one precision, the gradients left empty if not wanted."""
+    """Lay out the visits to the cells of one law in one precision, the gradients left empty if not wanted.
+
+    Gradients may have any number of components.
+    """
     from femdeform.materials import with_precision
 
     n_corners = cells.cells.shape[1]
@@ -136,7 +140,8 @@ def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradie
     nodes = np.flatnonzero(np.diff(starts))
     offsets = np.append(starts[nodes], starts[-1]).astype(np.int64)
     others = np.empty((dim, visits.size), dtype=np.uint32)
-    gradients = np.empty((dim * dim, visits.size if with_gradients else 0), dtype=dtype)
+    n_components = cells.gradients.shape[2]
+    gradients = np.empty((dim * n_components, visits.size if with_gradients else 0), dtype=dtype)
     volumes = np.empty(visits.size, dtype=dtype)
     for first in range(0, visits.size, _BATCH):
         part = slice(first, min(first + _BATCH, visits.size))
@@ -146,7 +151,7 @@ def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradie
         volumes[part] = cells.volumes[cell]
         if with_gradients:
             kept = np.concatenate([corner[:, None], other[:, :-1]], axis=1)
-            gradients[:, part] = cells.gradients[cell[:, None], kept].reshape(-1, dim * dim).T
+            gradients[:, part] = cells.gradients[cell[:, None], kept].reshape(-1, dim * n_components).T
     rows = np.searchsorted(nodes, numbering.color_offsets)
     return Visits(
         with_precision(cells.law, dtype),

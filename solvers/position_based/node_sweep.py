@@ -16,6 +16,7 @@ from femdeform.types import BoolArray, FloatArray, IntArray
 from solvers.coloring import color, incidence, recolor
 from solvers.position_based import fast_kernels, layout, move_kernels, node_kernels, row_kernels
 from solvers.position_based.nodal_blocks import is_bounded
+from solvers.position_based.node_fibres import NodeFibres
 from solvers.position_based.obstacle_kernels import ObstacleData, collect
 from solvers.position_based.stiff_block import StiffBlock, stiff_nodes
 
@@ -46,7 +47,7 @@ class NodeSweep:
 
     def __init__(self, problem: LocalStepProblem, dtype: Any = np.float64) -> None:
         self.dtype = np.dtype(dtype)
-        self._groups = groups = list(problem.local_cells(knows_links=True))
+        self._groups = groups = list(problem.local_cells(knows_links=True, knows_fibres=True))
         self.n_nodes, self.dim = problem.points.shape
         links: WeakConstraints | None = problem.links
         stiff = np.zeros(self.n_nodes, dtype=bool)
@@ -59,6 +60,9 @@ class NodeSweep:
             used[group.cells] = True
         self.numbering = layout.number_nodes(problem.points, colors, problem.free.any(axis=1) & used)
         self._parts = [_law_cells(group, self.numbering, self.dtype) for group in groups]
+        self._fibres = [
+            NodeFibres(group, fibres, self.numbering, self.dtype) for group in groups for fibres in group.fibres
+        ]
         offsets, place = self.numbering.color_offsets, self.numbering.place
         self._links = links
         self._rows: row_kernels.RowData | None = None
@@ -81,7 +85,7 @@ class NodeSweep:
         self._steps = np.zeros(3 * n, dtype=self.dtype)
         self._taken = np.ones(n, dtype=self.dtype)
         self._obstacles: ObstacleData | None = None
-        self._needs_check = any(not part.is_bounded for part in self._parts)
+        self._needs_check = bool(self._fibres) or any(not part.is_bounded for part in self._parts)
 
     @property
     def n_colors(self) -> int:
@@ -161,6 +165,8 @@ class NodeSweep:
             first, last = int(offsets[c]), int(offsets[c + 1])
             for part in self._parts:
                 part.add(c, x, self._acc)
+            for fibres in self._fibres:
+                fibres.add(c, x, self._acc)
             if self._rows is not None:
                 self._add_rows(c, x)
             self._find_steps(first, last, factor, at_once, x)
@@ -169,6 +175,8 @@ class NodeSweep:
             for part in self._parts:
                 if not part.is_bounded:
                     part.shorten(c, x, self._steps, self._taken)
+            for fibres in self._fibres:
+                fibres.shorten(c, x, self._steps, self._taken)
             move_kernels.take_steps(first, last, self._taken, self._steps, x)
         if self.block is not None:
             self.block.move(x, self._loads)

@@ -335,4 +335,5 @@ def _around(group: LocalCells, is_mine: BoolArray) -> ElementGroup:
         np.ascontiguousarray(group.gradients[chosen][:, None]),
         np.ascontiguousarray(group.volumes[chosen][:, None]),
         chosen,
+        tuple(fibres.taken(chosen, len(group.cells)) for fibres in group.fibres),
     )

@@ -27,7 +27,7 @@ WITH_EXAMPLE = [section for section in WRITTEN if section.model is not None]
 def in_its_place(section: Section) -> type[BaseModel]:
     """A model with the key that the example stands under, as the schema has it."""
     assert section.block is not None
-    owner, key = section.block.owners[0]
+    owner, key = next(place for place in section.block.owners if place[1] == section.block.key)
     info = (DeformableScene if owner is None else owner).model_fields[key]
     return create_model("Place", __base__=SceneModel, **{key: (info.annotation, info)})
 
