@@ -183,6 +183,7 @@ class LocalStepProblem(StepProblem, Protocol):
     points: FloatArray  # (n_local, dim) reference positions [m]
     links: Any  # weak constraints between nodes (`femdeform.contact.weak_constraints.WeakConstraints`), or None
     lumped_mass: FloatArray  # (n_local,) [kg]
+    dt: float  # length of the step begun [s]
 
     def local_cells(self, knows_links: bool = False) -> Sequence[LocalCells]:
         """Cells of all bodies, one entry per law with its parameters.

@@ -254,7 +254,10 @@ def _constraint_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
     """What constraints of cells do not know."""
     solver = scene.solver
     statics = scene.time.scheme == "quasistatic"
-    if statics != isinstance(solver, XPBDQSSolver):
+    if isinstance(solver, PBDSolver):
+        if solver.pseudo_step is not None and not statics:
+            yield Finding(("solver", "pseudo_step"), "is for statics (time.scheme: quasistatic); remove it")
+    elif statics != isinstance(solver, XPBDQSSolver):
         advice = "for statics there is xpbd_qs" if statics else "for dynamics there is xpbd"
         yield Finding(("solver", "method"), f"{solver.method} does not go with {scene.time.scheme}; {advice}")
     known = ("fixed_corotated", "arap") if isinstance(solver, PBDSolver) else ("fixed_corotated", "arap", "neo_hookean")

@@ -75,7 +75,7 @@ def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
     stride : int
         Numbers a node.
     """
-    groups = list(problem.local_cells())
+    groups = list(problem.local_cells(knows_links=True))
     moves: BoolArray = np.any(problem.free, axis=1)
     n_nodes = len(problem.points)
     parts = [_moving(group, moves) for group in groups]

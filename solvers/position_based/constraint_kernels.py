@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from femdeform.jit import njit, prange
-from solvers.position_based.cell_algebra import combine, deformation, dot, load, mobility, spread, store, times
+from solvers.position_based.cell_algebra import combine, dot, load, store, times
+from solvers.position_based.cell_corners import deformation, mobility, spread
 from solvers.position_based.chunk_rotations import CHUNK, get, make_scratch, put, rotate, rotation_of
 from solvers.position_based.constraints import (
     root_constraint,

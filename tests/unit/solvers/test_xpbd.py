@@ -12,8 +12,9 @@ from scenario import block, body, build, material, quasistatic, scene, step
 from femdeform.errors import InputError
 from femdeform.run.setup import Simulation
 from femdeform.step_problem import Budget, StepResult
-from solvers.position_based.cell_sweep import BlendedSweep, ConstraintSweep, PiolaSweep
+from solvers.position_based.constraint_sweeps import BlendedSweep, ConstraintSweep
 from solvers.position_based.constraints import PAIRED
+from solvers.position_based.piola_sweep import PiolaSweep
 from solvers.xpbd import XPBD
 
 Array = NDArray[np.float64]
