@@ -460,7 +460,7 @@ class IncrementalPotential:
         if not self.pressures:
             return None
         first = len(self.elastic)
-        self._slots[: self._first_row[first]] = 0.0
+        self._slots[:] = 0.0
         for k, term in enumerate(self.pressures):
             term.gradient(x, self._slots, self._first_row[first + k])
         out = np.empty((self.discretization.n_nodes, self.dim))

@@ -70,6 +70,7 @@ class CellSweep:
         self._touched_free = np.empty((0, 3), dtype=np.uint8)
         self._contact_forces = np.empty((0, 3))
         self._target = np.zeros((n, self.dim))
+        self._follower = np.zeros((n, self.dim))
 
     def _fields(self) -> FloatArray:
         return self._x.reshape(self.n_nodes, self.stride)
@@ -96,6 +97,7 @@ class CellSweep:
         self.h2 = dt * dt
         fields = self._fields()
         self._target[:] = target[self._layout.numbering.order]
+        self._follower[:] = 0.0
         fields[:, : self.dim] = self._target
         if self.stride > 4:
             fields[:, 4 : 4 + self.dim] = self._target
@@ -112,12 +114,14 @@ class CellSweep:
             self._links.begin()
         self._forget()
 
-    def shift_target(self, change: FloatArray) -> None:
-        """Move x~ by (n_nodes, dim) [m], and what depends on it."""
+    def follow(self, forces: FloatArray) -> None:
+        """Take forces (n_nodes, dim) [N] into x~ in place of those given before, and move what depends on it."""
         order = self._layout.numbering.order
-        own = np.where(self._free[:, : self.dim] != 0, change[order], 0.0)
-        self._target += own
         fields = self._fields()
+        change = self.h2 * fields[:, 3:4] * (forces[order] - self._follower)
+        own = np.where(self._free[:, : self.dim] != 0, change, 0.0)
+        self._follower[:] = forces[order]
+        self._target += own
         fields[:, : self.dim] += own
         if self.stride > 4:
             fields[:, 4 : 4 + self.dim] += own
@@ -164,13 +168,13 @@ class CellSweep:
         """What multipliers and positions leave of the equations of motion, and what the multipliers lack.
 
         The primary residual is ``(m (x - x~) - sum l grad C) / h^2``, the secondary one ``sum (C / alpha + l / h^2)
-        grad C``, both with gradients at the present positions; stresses and forces of contact take the place of
-        multipliers where a method has them. They add up to the residual of the problem.
+        grad C``, both with gradients at the present positions; stresses, forces of contact and those of pressure in x~
+        take the place of multipliers. They add up to the residual of the problem.
 
         Parameters
         ----------
         problem : LocalStepProblem
-            With the step begun; x~ as it was last given.
+            With the step begun.
 
         Returns
         -------
@@ -189,10 +193,13 @@ class CellSweep:
         if self._links is not None:
             self._links.defects(points, self.h2, held, missing)
         order = self._layout.numbering.order
+        x = np.empty((n, dim))
+        x[order] = points
+        follower = problem.follower_forces(x)
+        if follower is not None:
+            missing += self.h2 * (self._follower - follower[order])
         if self._obstacles is not None:
             push = np.zeros((n, dim))
-            x = np.empty((n, dim))
-            x[order] = points
             for contact in problem.node_contacts():
                 contact.add_gradient(x, push)
             held[self._touched] += self.h2 * self._contact_forces[:, :dim]

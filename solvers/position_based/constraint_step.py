@@ -10,7 +10,6 @@ import numpy as np
 
 from femdeform.errors import InputError
 from femdeform.step_problem import Budget, IterationObserver, LocalStepProblem, StepResult
-from femdeform.types import FloatArray
 from solvers.descent import ratio
 from solvers.position_based.cell_sweep import CellSweep
 
@@ -70,7 +69,6 @@ class ConstraintStep:
         self.norm = self.growth = self.last = self.first = math.inf
         self.size = float(np.ptp(problem.points, axis=0).max())
         self.x = problem.predictor(state)
-        self._follower: FloatArray | None = None
 
     def dynamics(self, stopping: Stopping, reverse: bool = False) -> StepResult:
         """A step of backward Euler.
@@ -83,22 +81,18 @@ class ConstraintStep:
         dt = math.sqrt(time_step_squared(self.problem))
         self._begin()
         self.sweep.begin(self.problem, self.x, dt)
-        return self._run(dt, stopping, reverse)
+        return self._run(True, stopping, reverse)
 
     def pushed(self, dt: float, stopping: Stopping, reverse: bool = False) -> StepResult:
         """A static step of PBD: sweeps from where loads push masses at rest in a time dt [s]."""
-        problem = self.problem
         self._begin()
-        forces, follower = problem.nodal_terms().loads, problem.follower_forces(self.x)
-        if follower is not None:
-            forces = forces + follower
-        target = np.where(problem.free, self.x + dt * dt * forces / problem.lumped_mass[:, None], self.x)
-        self.sweep.begin(problem, target, dt)
-        return self._run(None, stopping, reverse)
+        self._push(dt)
+        return self._run(False, stopping, reverse)
 
-    def _run(self, dt: float | None, stopping: Stopping, reverse: bool) -> StepResult:
-        """Sweeps and looks to the end of the step; with the time step dt, forces that follow go into x~."""
-        self._follow(dt)
+    def _run(self, follows: bool, stopping: Stopping, reverse: bool) -> StepResult:
+        """Sweeps and looks to the end of the step; `follows`: x~ takes over forces that follow the positions."""
+        if follows:
+            self._follow()
         self._look()
         self.first = max(self.growth, self.problem.force_scale)
         while True:
@@ -110,7 +104,8 @@ class ConstraintStep:
                 return self.result(False, spent)
             end = min(self.iteration + stopping.check_every, stopping.sweeps)
             self._sweeps(end, reverse)
-            self._follow(dt)
+            if follows:
+                self._follow()
             self._look()
             self._report()
 
@@ -135,6 +130,13 @@ class ConstraintStep:
         problem.linearize_at(self.state.x)
         problem.settle_force_scale(self.x)
 
+    def _push(self, dt: float) -> None:
+        """Begin sweeps with x~ where loads push the masses, at rest, in a time dt [s]."""
+        problem = self.problem
+        push = dt * dt * problem.nodal_terms().loads / problem.lumped_mass[:, None]
+        self.sweep.begin(problem, np.where(problem.free, self.x + push, self.x), dt)
+        self._follow()
+
     def _sweeps(self, end: int, reverse: bool) -> None:
         if self.budget.iterations is not None:
             end = min(end, self.budget.iterations)
@@ -144,16 +146,11 @@ class ConstraintStep:
             if self.budget.seconds is not None and self.budget.spent(self.iteration) is not None:
                 break
 
-    def _follow(self, dt: float | None) -> None:
-        """Take over forces that follow the positions into x~."""
-        if dt is None:
-            return
+    def _follow(self) -> None:
         self.sweep.read(self.x)
-        follower = self.problem.follower_forces(self.x)
-        if follower is not None:
-            change = follower if self._follower is None else follower - self._follower
-            self._follower = follower
-            self.sweep.shift_target(dt * dt * change / self.problem.lumped_mass[:, None])
+        forces = self.problem.follower_forces(self.x)
+        if forces is not None:
+            self.sweep.follow(forces)
 
     def _look(self) -> None:
         """Residual where the sweeps are [N]."""
@@ -243,10 +240,7 @@ class PseudoTimeStep(ConstraintStep):
             if spent is not None:
                 return self.result(False, spent)
             before = self.x.copy()
-            follower = problem.follower_forces(before)
-            forces = terms.loads if follower is None else terms.loads + follower
-            target = np.where(problem.free, before + dt * dt * forces / problem.lumped_mass[:, None], before)
-            self.sweep.begin(problem, target, dt)
+            self._push(dt)
             self._sweeps(self.iteration + sweeps, reverse)
             self._look()
             self._report()

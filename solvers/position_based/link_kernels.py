@@ -23,8 +23,8 @@ _CHUNK = 64
 # How a row treats the primary residual of its nodes: as XPBD, which leaves it out; the same with base points kept,
 # which hold what the row does; or solving for its force from the base points, as FP-PXPBD does for stresses.
 PLAIN, BASED, SOLVED = 0, 1, 2
-# Turns of a spring in which its direction is found where the nodes' mobility has one.
-_TURNS = 3
+# Halvings of the interval in which the length of a spring lies, down to rounding.
+_HALVINGS = 60
 
 
 @njit
@@ -73,26 +73,33 @@ def _spring(c: Any, pull: Any, m: Any, length: Any, s: Any, rigid: Any) -> Any:
 
 
 @njit
-def _solved_spring(c: Any, y: Any, o: Any, m: Any, length: Any, s: Any) -> Any:
+def _solved_spring(y: Any, o: Any, m: Any, length: Any, s: Any) -> Any:
     """Pull [kg m] and direction of a spring in balance with its nodes' base points.
 
-    Without its own part o in them it would be at ``z = y - m o``; it ends at ``z + m l d`` with ``l = -s (|C| - L)``.
-    If its nodes move alike in all directions d is that of z, else it is found in turns.
+    Without its own part o in them C would be ``z = y - m o``; it is ``z + m l C/|C|`` with ``l = -s (|C| - L)``, so
+    ``C_a = z_a / (1 + s m_a (1 - L/|C|))`` and |C| is the root of a function that falls from a pole to infinity.
     """
     z0, z1, z2 = y[0] - m[0] * o[0], y[1] - m[1] * o[1], y[2] - m[2] * o[2]
-    alike = m[0] == m[1] and (m[1] == m[2] or z2 == 0.0)
-    if alike:
-        c = (z0, z1, z2)
-    pull = 0.0 * s
-    d0, d1, d2 = 0.0 * s, 0.0 * s, 0.0 * s
-    for _ in range(1 if alike else _TURNS):
-        size = math.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
-        if size > 0.0:
-            d0, d1, d2 = c[0] / size, c[1] / size, c[2] / size
-        W = m[0] * d0 * d0 + m[1] * d1 * d1 + m[2] * d2 * d2
-        pull = -s * (d0 * z0 + d1 * z1 + d2 * z2 - length) / (1.0 + s * W)
-        c = (z0 + m[0] * pull * d0, z1 + m[1] * pull * d1, z2 + m[2] * pull * d2)
-    return pull, (d0, d1, d2)
+    size = math.sqrt(z0 * z0 + z1 * z1 + z2 * z2)
+    if size == 0.0:
+        return 0.0 * s, (z0, z1, z2)
+    if m[0] == m[1] and (m[1] == m[2] or z2 == 0.0):
+        pull = -s * (size - length) / (1.0 + s * m[0])
+        return pull, (z0 / size, z1 / size, z2 / size)
+    most = s * max(m[0], m[1], m[2])
+    low, high = length * most / (1.0 + most), max(size, length)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        slack = s * (1.0 - length / middle)
+        d0, d1, d2 = z0 / (1.0 + m[0] * slack), z1 / (1.0 + m[1] * slack), z2 / (1.0 + m[2] * slack)
+        if d0 * d0 + d1 * d1 + d2 * d2 > middle * middle:
+            low = middle
+        else:
+            high = middle
+    slack = s * (1.0 - length / high)
+    d0, d1, d2 = z0 / (1.0 + m[0] * slack), z1 / (1.0 + m[1] * slack), z2 / (1.0 + m[2] * slack)
+    size = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    return -s * (high - length), (d0 / size, d1 / size, d2 / size)
 
 
 @njit(parallel=True)
@@ -158,8 +165,7 @@ def project_rows(
             if lengths[r] > 0.0:
                 s = h2 * stiffness[r, 0]
                 if mode == SOLVED:
-                    here = _offset(r, 0, offsets, places, weights, targets, x)
-                    pull, d = _solved_spring(here, (y0, y1, y2), o, m, lengths[r], s)
+                    pull, d = _solved_spring((y0, y1, y2), o, m, lengths[r], s)
                     n = (pull * d[0], pull * d[1], pull * d[2])
                     v = (n[0] - o[0], n[1] - o[1], n[2] - o[2])
                 else:

@@ -278,6 +278,30 @@ def test_pbd_loses_its_load() -> None:
     np.testing.assert_allclose(found, [0.018, 0.007, 0.0015], rtol=0.3)
 
 
+def test_pbd_in_statics_forgets_its_load() -> None:
+    """A step starts from where the load pushes the masses; sweeps then take it back: the sag is 0.6725."""
+
+    def sag(**solver: Any) -> float:
+        simulation = build(
+            scene(
+                {"b": body(block([1, 0.25, 0.25], [4, 1, 1]), material("fixed_corotated", E=1e3, density=10.0))},
+                {"kind": "fixed", "on": "b.left"},
+                gravity=[0.0, -9.8, 0.0],
+                time=quasistatic(dt=0.1, end=0.1),
+                solver={"method": "pbd", **solver},
+            )
+        )
+        simulation.problem.begin_step(simulation.state, 0.1)
+        result = simulation.solver.step(simulation.problem, simulation.state)
+        assert (result.accepted, result.converged) == (True, False)
+        return tip_sag(simulation, result.x)
+
+    found = [sag(iterations=count, pseudo_step=0.1) for count in (20, 100, 1000)]
+    np.testing.assert_allclose(found, [0.107, 0.058, 4e-4], rtol=0.1)
+    assert sag(iterations=20) == found[0]
+    assert sag(iterations=20, pseudo_step=0.2) > 1.5 * found[0]
+
+
 def test_pseudo_time_comes_to_rest_at_the_wrong_place() -> None:
     """Sag of the bar 4x1x1 (methods.md 3.5): true 0.6725; by pseudo-step and sweeps 0.88, 1.43, 0.82."""
 
