@@ -23,8 +23,6 @@ _CHUNK = 64
 # How a row treats the primary residual of its nodes: as XPBD, which leaves it out; the same with base points kept,
 # which hold what the row does; or solving for its force from the base points, as FP-PXPBD does for stresses.
 PLAIN, BASED, SOLVED = 0, 1, 2
-# Halvings of the interval in which the length of a spring lies, down to rounding.
-_HALVINGS = 60
 
 
 @njit
@@ -73,33 +71,10 @@ def _spring(c: Any, pull: Any, m: Any, length: Any, s: Any, rigid: Any) -> Any:
 
 
 @njit
-def _solved_spring(y: Any, o: Any, m: Any, length: Any, s: Any) -> Any:
-    """Pull [kg m] and direction of a spring in balance with its nodes' base points.
-
-    Without its own part o in them C would be ``z = y - m o``; it is ``z + m l C/|C|`` with ``l = -s (|C| - L)``, so
-    ``C_a = z_a / (1 + s m_a (1 - L/|C|))`` and |C| is the root of a function that falls from a pole to infinity.
-    """
-    z0, z1, z2 = y[0] - m[0] * o[0], y[1] - m[1] * o[1], y[2] - m[2] * o[2]
-    size = math.sqrt(z0 * z0 + z1 * z1 + z2 * z2)
-    if size == 0.0:
-        return 0.0 * s, (z0, z1, z2)
-    if m[0] == m[1] and (m[1] == m[2] or z2 == 0.0):
-        pull = -s * (size - length) / (1.0 + s * m[0])
-        return pull, (z0 / size, z1 / size, z2 / size)
-    most = s * max(m[0], m[1], m[2])
-    low, high = length * most / (1.0 + most), max(size, length)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        slack = s * (1.0 - length / middle)
-        d0, d1, d2 = z0 / (1.0 + m[0] * slack), z1 / (1.0 + m[1] * slack), z2 / (1.0 + m[2] * slack)
-        if d0 * d0 + d1 * d1 + d2 * d2 > middle * middle:
-            low = middle
-        else:
-            high = middle
-    slack = s * (1.0 - length / high)
-    d0, d1, d2 = z0 / (1.0 + m[0] * slack), z1 / (1.0 + m[1] * slack), z2 / (1.0 + m[2] * slack)
-    size = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
-    return -s * (high - length), (d0 / size, d1 / size, d2 / size)
+def _without_own(y: Any, o: Any, m: Any) -> Any:
+    """C where the base points without the row's own part are, and its size [m]."""
+    z = (y[0] - m[0] * o[0], y[1] - m[1] * o[1], y[2] - m[2] * o[2])
+    return z, math.sqrt(z[0] * z[0] + z[1] * z[1] + z[2] * z[2])
 
 
 @njit(parallel=True)
@@ -159,22 +134,32 @@ def project_rows(
         for r in range(first + c * _CHUNK, min(first + (c + 1) * _CHUNK, last)):
             m = _mobility(r, offsets, places, weights, stride, free, x)
             o = (held[r, 0], held[r, 1], held[r, 2])
-            # Where the row's nodes are, or would be by what the base points say.
-            y0, y1, y2 = _offset(r, 4 if mode == SOLVED else 0, offsets, places, weights, targets, x)
+            y = _offset(r, 0, offsets, places, weights, targets, x)
+            solved = mode == SOLVED
+            if solved:
+                base = _offset(r, 4, offsets, places, weights, targets, x)
+                if lengths[r] > 0.0:
+                    # A spring in tension is in balance along where the base points are without it. One that is
+                    # compressed may balance elsewhere as well, and one whose nodes move less along an axis turns.
+                    z, size = _without_own(base, o, m)
+                    solved = size >= lengths[r] and m[0] == m[1] and (m[1] == m[2] or z[2] == 0.0)
+                else:
+                    y = base
             # `v` moves the nodes, `n` is what is held afterwards.
             if lengths[r] > 0.0:
                 s = h2 * stiffness[r, 0]
-                if mode == SOLVED:
-                    pull, d = _solved_spring((y0, y1, y2), o, m, lengths[r], s)
-                    n = (pull * d[0], pull * d[1], pull * d[2])
+                if solved:
+                    pull = -s * (size - lengths[r]) / (1.0 + s * m[0])
+                    n = (pull * z[0] / size, pull * z[1] / size, pull * z[2] / size)
                     v = (n[0] - o[0], n[1] - o[1], n[2] - o[2])
                 else:
-                    step, d = _spring((y0, y1, y2), pulls[r], m, lengths[r], s, rigid)
+                    step, d = _spring(y, pulls[r], m, lengths[r], s, rigid)
                     pull = pulls[r] + step
                     n = (pull * d[0], pull * d[1], pull * d[2])
                     v = (step * d[0], step * d[1], step * d[2])
                 pulls[r] = pull
             else:
+                y0, y1, y2 = y
                 v0 = v1 = v2 = 0.0 * h2
                 for a in range(3):
                     d0, d1, d2 = frames[r, a, 0], frames[r, a, 1], frames[r, a, 2]
@@ -190,7 +175,7 @@ def project_rows(
                 w = weights[k] * x[p + 3]
                 for a in range(3):
                     if free[p // stride, a] != 0:
-                        x[p + a] = (x[p + 4 + a] if mode == SOLVED else x[p + a]) + w * v[a]
+                        x[p + a] = (x[p + 4 + a] if solved else x[p + a]) + w * v[a]
                         if mode != PLAIN:
                             x[p + 4 + a] += w * (n[a] - o[a])
             held[r, 0], held[r, 1], held[r, 2] = n[0], n[1], n[2]
