@@ -182,16 +182,19 @@ class LocalStepProblem(StepProblem, Protocol):
 
     points: FloatArray  # (n_local, dim) reference positions [m]
     links: Any  # weak constraints between nodes (`femdeform.contact.weak_constraints.WeakConstraints`), or None
+    constraints: Sequence[Any]  # of membranes and rods (`femdeform.fem.thin_constraints.ThinConstraints`)
     lumped_mass: FloatArray  # (n_local,) [kg]
     dt: float  # length of the step begun [s]
 
-    def local_cells(self, knows_links: bool = False) -> Sequence[LocalCells]:
+    def local_cells(self, knows_links: bool = False, knows_constraints: bool = False) -> Sequence[LocalCells]:
         """Cells of all bodies, one entry per law with its parameters.
 
         Parameters
         ----------
         knows_links : bool
             Whether the method minimises the energies of `links` too; else a scene with links is refused.
+        knows_constraints : bool
+            The same of `constraints`, whose cells are then left out.
 
         Raises
         ------

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from femdeform.jit import njit
-from femdeform.types import IntArray
+from femdeform.types import BoolArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,28 @@ def incidence(parts: list[np.ndarray[Any, Any]], n_items: int) -> Incidence:
     order = np.argsort(items, kind="stable")
     item_offsets = np.concatenate([[0], np.cumsum(np.bincount(items, minlength=n_items))]).astype(np.int64)
     return Incidence(set_offsets, items, item_offsets, sets[order])
+
+
+def moving_sets(parts: list[np.ndarray[Any, Any]], moves: BoolArray) -> Incidence:
+    """As `incidence`, but what never moves is in no two sets: it is read at the same time.
+
+    Parameters
+    ----------
+    parts : list of (n_sets_k, size_k) integer arrays
+        See `incidence`.
+    moves : (n_items,) bool
+        Items that move.
+    """
+    fresh = moves.size
+    own = []
+    for part in parts:
+        rows = part.astype(np.int64)
+        still = ~moves[rows]
+        count = int(np.count_nonzero(still))
+        rows[still] = fresh + np.arange(count)
+        fresh += count
+        own.append(rows)
+    return incidence(own, fresh)
 
 
 def color(graph: Incidence) -> IntArray:

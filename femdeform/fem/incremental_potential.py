@@ -6,7 +6,7 @@ Backward Euler: ``Phi(x) = 1/(2 h^2) |x - x_hat|_M^2 + PE(x) - f.x`` with ``x_ha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import Discretization
 from femdeform.fem.energies import CellTerm, ElasticEnergy, FollowerPressure
+from femdeform.fem.thin_constraints import ThinConstraintEnergy, ThinConstraints
 from femdeform.parallel import Partition
 from femdeform.step_problem import LocalCells, NodalTerms
 from femdeform.types import FloatArray
@@ -68,6 +69,8 @@ class IncrementalPotential:
         Contact of bodies with one another, serial only.
     links : WeakConstraints, optional
         Ties, springs and attachments.
+    constraints : mapping of str to ThinConstraints, optional
+        By membrane or rod, in place of the energy of its cells.
 
     Attributes
     ----------
@@ -90,6 +93,7 @@ class IncrementalPotential:
         contacts: Sequence[NodeContact] = (),
         couplings: Sequence[CouplingContact] = (),
         links: WeakConstraints | None = None,
+        constraints: Mapping[str, ThinConstraints] | None = None,
     ) -> None:
         self.discretization = discretization
         self.conditions = conditions
@@ -105,7 +109,11 @@ class IncrementalPotential:
         self.free = conditions.free
         self.dim = discretization.dim
 
-        self.elastic = [ElasticEnergy(group) for group in discretization.groups]
+        thin = {} if constraints is None else constraints
+        self.elastic = [
+            ThinConstraintEnergy(group, thin[group.body]) if group.body in thin else ElasticEnergy(group)
+            for group in discretization.groups
+        ]
         self.pressures = [FollowerPressure(load) for load in conditions.pressures]
         self._link_terms = [] if links is None else links.terms
         self._terms: list[CellTerm] = [*self.elastic, *self.pressures, *self._link_terms]
@@ -416,7 +424,12 @@ class IncrementalPotential:
         """Nodal masses (n_local,) [kg]."""
         return self.discretization.lumped_mass
 
-    def local_cells(self, knows_links: bool = False) -> list[LocalCells]:
+    @property
+    def constraints(self) -> list[ThinConstraints]:
+        """Constraints of membranes and rods in place of the energy of their cells."""
+        return [term.constraints for term in self.elastic if isinstance(term, ThinConstraintEnergy)]
+
+    def local_cells(self, knows_links: bool = False, knows_constraints: bool = False) -> list[LocalCells]:
         """See `LocalStepProblem`: the cells of all bodies, merged by law."""
         if self.links is not None and not knows_links:
             raise InputError("links: this method does not know them; use projected_newton, mixed_fem or pbng")
@@ -429,6 +442,8 @@ class IncrementalPotential:
         by_law: dict[tuple[type, object], list[LocalCells]] = {}
         for term in self.elastic:
             group = term.group
+            if knows_constraints and isinstance(term, ThinConstraintEnergy):
+                continue
             if group.kind != "solid" or group.cells.shape[1] != self.dim + 1:
                 raise InputError(
                     f"bodies.{group.body}: a sweep over the nodes knows linear triangles in 2D and tetrahedra in 3D"

@@ -14,6 +14,7 @@ from femdeform.errors import InputError, MissingDependencyError
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import BodyInput, Discretization, discretize
 from femdeform.fem.incremental_potential import IncrementalPotential, State
+from femdeform.fem.thin_constraints import ThinConstraints, make_constraints
 from femdeform.materials import law_for, supports_codimension
 from femdeform.run.contacts import make_contacts
 from femdeform.run.links import make_links
@@ -93,6 +94,28 @@ def body_input(name: str, body: Any, mesh: Mesh) -> BodyInput:
     return BodyInput(mesh, body.kind, body.element_order, body.mass == "consistent", measure, regions)
 
 
+def _thin_constraints(
+    scene: schema.DeformableScene, discretization: Discretization, conditions: Conditions
+) -> dict[str, ThinConstraints]:
+    """Constraints of the membranes and rods that have some."""
+    made = {}
+    for name, body in scene.bodies.items():
+        if body.kind == "solid" or body.constraints is None or body.material is None:
+            continue
+        place = discretization.bodies[name]
+        tether = body.constraints.tether
+        made[name] = make_constraints(
+            name,
+            body.constraints,
+            discretization.all_points,
+            place.first + place.connectivity,
+            body.thickness if body.kind == "membrane" else body.cross_section,
+            body.material.youngs_modulus,
+            None if tether is None else conditions.nodes(tether.to),
+        )
+    return made
+
+
 def make_linear_solver(options: schema.LinearSolver, ranks: int, notices: list[str]) -> Any:
     """Make the linear solver a scene asks for, or SciPy's with a notice where PETSc cannot be had.
 
@@ -158,7 +181,10 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
         links = WeakConstraints(rows.local(discretization.local_numbers, discretization.partition.n_owned))
         links.begin_step(discretization.points, 0.0)
     quasistatic = scene.time.scheme == "quasistatic"
-    problem = IncrementalPotential(discretization, conditions, quasistatic, contacts, couplings=couplings, links=links)
+    constraints = _thin_constraints(scene, discretization, conditions)
+    problem = IncrementalPotential(
+        discretization, conditions, quasistatic, contacts, couplings=couplings, links=links, constraints=constraints
+    )
     linear_solver = make_linear_solver(scene.linear_solver, ranks, notices)
     solver = registry.resolve(registry.SOLVERS[scene.solver.method])(scene.solver, linear_solver)
     velocity = np.zeros_like(discretization.points) if quasistatic else conditions.initial_velocity.copy()

@@ -65,7 +65,7 @@ class CellLayout:
     batches: list[CellBatch]
 
 
-def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
+def lay_out_cells(problem: LocalStepProblem, stride: int, knows_constraints: bool = False) -> CellLayout:
     """Colour and sort the cells of a problem; cells without anything to move are left out.
 
     Parameters
@@ -74,8 +74,10 @@ def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
         With linear triangles or tetrahedra.
     stride : int
         Numbers a node.
+    knows_constraints : bool
+        Whether constraints of membranes and rods are visited as well.
     """
-    groups = list(problem.local_cells(knows_links=True))
+    groups = list(problem.local_cells(True, knows_constraints))
     moves: BoolArray = np.any(problem.free, axis=1)
     n_nodes = len(problem.points)
     parts = [_moving(group, moves) for group in groups]
@@ -83,6 +85,8 @@ def lay_out_cells(problem: LocalStepProblem, stride: int) -> CellLayout:
     used = np.zeros(n_nodes, dtype=bool)
     for part in parts:
         used[part.cells] = True
+    for thin in problem.constraints:
+        used[thin.nodes] = True
     numbering = layout.number_nodes(problem.points, np.zeros(n_nodes, dtype=np.int64), moves & used)
     n_colors = int(colors.max()) + 1 if colors.size else 0
     # Nodes some of whose components are prescribed make their cells a batch of their own, with masks.

@@ -11,6 +11,7 @@ from solvers.position_based import link_kernels, piola_kernels
 from solvers.position_based.cell_layout import CellBatch, lay_out_cells
 from solvers.position_based.link_sweep import LinkSweep
 from solvers.position_based.obstacle_kernels import ObstacleData, collect
+from solvers.position_based.thin_sweep import ThinSweep
 
 # Sweeps after which base points, sums of many small changes, are made anew.
 _REFRESH = 100
@@ -40,9 +41,10 @@ class CellSweep:
     stride = 4
     blend = 1.0
     link_mode = link_kernels.PLAIN
+    knows_constraints = False
 
     def __init__(self, problem: LocalStepProblem, rigid: bool = False) -> None:
-        self._layout = lay_out_cells(problem, self.stride)
+        self._layout = lay_out_cells(problem, self.stride, self.knows_constraints)
         self.n_colors = self._layout.n_colors
         self.n_nodes, self.dim = problem.points.shape
         self._dim = (0,) * self.dim
@@ -64,6 +66,10 @@ class CellSweep:
         if problem.links is not None:
             place = self._layout.numbering.place
             self._links = LinkSweep(problem.links, place, self._free, self.stride, self.link_mode, rigid)
+        self._thin = [
+            ThinSweep(thin, self._layout.numbering.place, self._free, self.stride, rigid)
+            for thin in problem.constraints
+        ]
         self._obstacles: ObstacleData | None = None
         self._touched: IntArray = np.empty(0, dtype=np.int64)
         self._touched_rows: IntArray = np.empty(0, dtype=np.int64)
@@ -112,6 +118,8 @@ class CellSweep:
             self._contact_forces = np.zeros((self._touched.size, 3))
         if self._links is not None:
             self._links.begin()
+        for thin in self._thin:
+            thin.begin()
         self._forget()
 
     def follow(self, forces: FloatArray) -> None:
@@ -140,6 +148,8 @@ class CellSweep:
                 first, last = int(batch.offsets[c]), int(batch.offsets[c + 1])
                 if last > first:
                     self._visit(k, batch, first, last, reverse)
+        for thin in self._thin:
+            thin.sweep(self._x, self.h2, reverse)
         if self._links is not None and not self.links_first:
             self._links.sweep(self._x, self.h2, reverse)
         data = self._obstacles
@@ -192,6 +202,8 @@ class CellSweep:
         points = fields[:, :dim]
         if self._links is not None:
             self._links.defects(points, self.h2, held, missing)
+        for thin in self._thin:
+            thin.defects(np.ascontiguousarray(points), self.h2, held, missing)
         order = self._layout.numbering.order
         x = np.empty((n, dim))
         x[order] = points

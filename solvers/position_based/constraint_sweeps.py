@@ -37,6 +37,8 @@ class ConstraintSweep(CellSweep):
         If a law has no such constraints.
     """
 
+    knows_constraints = True
+
     def __init__(
         self, problem: LocalStepProblem, epsilon: float = 1e-10, rigid: bool = False, root: bool = False
     ) -> None:

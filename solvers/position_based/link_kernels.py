@@ -52,7 +52,7 @@ def _mobility(r: Any, offsets: Any, places: Any, weights: Any, stride: Any, free
 
 
 @njit
-def _step(C: Any, W: Any, s: Any, multiplier: Any, rigid: Any) -> Any:
+def step_length(C: Any, W: Any, s: Any, multiplier: Any, rigid: Any) -> Any:
     """Change of a multiplier [kg m]."""
     if rigid:
         return -C / W if W > 0.0 and s > 0.0 else 0.0 * C
@@ -67,7 +67,7 @@ def _spring(c: Any, pull: Any, m: Any, length: Any, s: Any, rigid: Any) -> Any:
         return 0.0 * size, c
     d0, d1, d2 = c[0] / size, c[1] / size, c[2] / size
     W = m[0] * d0 * d0 + m[1] * d1 * d1 + m[2] * d2 * d2
-    return _step(size - length, W, s, pull, rigid), (d0, d1, d2)
+    return step_length(size - length, W, s, pull, rigid), (d0, d1, d2)
 
 
 @njit
@@ -165,7 +165,7 @@ def project_rows(
                     d0, d1, d2 = frames[r, a, 0], frames[r, a, 1], frames[r, a, 2]
                     W = m[0] * d0 * d0 + m[1] * d1 * d1 + m[2] * d2 * d2
                     C = d0 * y0 + d1 * y1 + d2 * y2
-                    step = _step(C, W, h2 * stiffness[r, a], d0 * o[0] + d1 * o[1] + d2 * o[2], rigid)
+                    step = step_length(C, W, h2 * stiffness[r, a], d0 * o[0] + d1 * o[1] + d2 * o[2], rigid)
                     v0, v1, v2 = v0 + step * d0, v1 + step * d1, v2 + step * d2
                     y0, y1, y2 = y0 + m[0] * d0 * step, y1 + m[1] * d1 * step, y2 + m[2] * d2 * step
                 v = (v0, v1, v2)

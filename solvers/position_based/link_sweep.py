@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from femdeform.contact.weak_constraints import WeakConstraints
-from femdeform.types import FloatArray, IntArray
-from solvers.coloring import color, incidence
+from femdeform.types import BoolArray, FloatArray, IntArray
+from solvers.coloring import color, moving_sets
 from solvers.position_based import link_kernels
 
 
@@ -40,7 +40,8 @@ class LinkSweep:
     ) -> None:
         self._links, self._free = links, free
         self._stride, self._mode, self._rigid = stride, mode, rigid
-        colors = color(incidence([term.cells for term in links.terms], place.size).transposed())
+        moves: BoolArray = np.any(free, axis=1)
+        colors = color(moving_sets([term.cells for term in links.terms], moves[place]).transposed())
         self._order = np.argsort(colors, kind="stable")
         self._cuts = np.searchsorted(colors[self._order], np.arange(int(colors.max(initial=-1)) + 2))
         rows = links.rows.select(self._order)
