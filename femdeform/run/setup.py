@@ -111,7 +111,7 @@ def _thin_constraints(
             place.first + place.connectivity,
             body.thickness if body.kind == "membrane" else body.cross_section,
             body.material.youngs_modulus,
-            None if tether is None else conditions.nodes(tether.to),
+            None if tether is None else conditions.nodes(f"{name}.{tether.to}"),
         )
     return made
 

@@ -54,7 +54,8 @@ def _thin_findings(
         if body.regions:
             yield Finding(("bodies", name, "regions"), "a body with constraints has one material")
         if body.constraints.tether is not None:
-            yield from judge_selection(body.constraints.tether.to, (*path, "tether", "to"), scene, meshes, coarse)
+            anchors = f"{name}.{body.constraints.tether.to}"
+            yield from judge_selection(anchors, (*path, "tether", "to"), scene, meshes, coarse)
 
 
 def _cell_findings(scene: schema.DeformableScene) -> Iterator[Finding]:

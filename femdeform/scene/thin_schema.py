@@ -5,7 +5,6 @@ from __future__ import annotations
 from pydantic import Field
 
 from femdeform.scene.scene_model import Positive, SceneModel
-from femdeform.scene.selection_schema import Selection
 
 _EDGE = "compliance of each edge, elongation per force [m/N]; default: from Young's modulus, "
 
@@ -13,7 +12,7 @@ _EDGE = "compliance of each edge, elongation per force [m/N]; default: from Youn
 class Tether(SceneModel):
     """Every node may be no farther from the nearest anchor than along the body."""
 
-    to: Selection = Field(description="nodes of the body that the others are tethered to")
+    to: str = Field(description="group of the body's mesh whose nodes the others are tethered to")
     slack: float = Field(default=1.0, ge=1.0, description="largest distance over that along the edges at rest [-]")
     compliance: Positive = Field(description="of each tether, elongation per force [m/N]")
 
