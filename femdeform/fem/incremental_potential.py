@@ -432,7 +432,7 @@ class IncrementalPotential:
     def local_cells(self, knows_links: bool = False, knows_constraints: bool = False) -> list[LocalCells]:
         """See `LocalStepProblem`: the cells of all bodies, merged by law."""
         if self.links is not None and not knows_links:
-            raise InputError("links: this method does not know them; use projected_newton, mixed_fem or pbng")
+            raise InputError("links: this method does not know them")
         if self.partition.n_owned < self.partition.n_global:
             raise InputError("solver.method: a sweep over the nodes runs on one rank, with threads")
         if self.couplings or self._barriers:
