@@ -6,10 +6,10 @@ A nonlinear solver sees a `StepProblem` and nothing else; a time loop sees the s
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -180,24 +180,27 @@ class NodalTerms:
     loads: FloatArray
 
 
+Feature = Literal["links", "weak_contact", "fibres", "constraints"]
+
+
 class LocalStepProblem(StepProblem, Protocol):
     """A step problem that also shows its parts, for methods that move a node or a cell at a time."""
 
     points: FloatArray  # (n_local, dim) reference positions [m]
     links: Any  # weak constraints between nodes (`femdeform.contact.weak_constraints.WeakConstraints`), or None
     weak_contact: Any  # contact found anew in each step (`femdeform.contact.weak_contact.WeakContact`), or None
+    constraints: Sequence[Any]  # of membranes and rods (`femdeform.fem.thin_constraints.ThinConstraints`)
     lumped_mass: FloatArray  # (n_local,) [kg]
+    dt: float  # length of the step begun [s]
 
-    def local_cells(self, knows_links: bool = False, knows_fibres: bool = False) -> Sequence[LocalCells]:
+    def local_cells(self, knows: Collection[Feature] = ()) -> Sequence[LocalCells]:
         """Cells of all bodies, one entry per law with its parameters.
 
         Parameters
         ----------
-        knows_links : bool
-            Whether the method minimises the energies of `links` and `weak_contact` too; else a scene with them is
-            refused.
-        knows_fibres : bool
-            Whether it knows muscle fibres; else a scene with muscles is refused.
+        knows : collection of str
+            What the method takes in itself besides the cells; a scene with anything else is refused. Cells of membranes
+            and rods with ``constraints`` are left out for who knows them.
 
         Raises
         ------

@@ -19,7 +19,7 @@ import numpy as np
 
 from femdeform.counting_sort import sort_by_number
 from femdeform.jit import njit
-from femdeform.types import IntArray
+from femdeform.types import BoolArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,28 @@ def incidence(parts: list[np.ndarray[Any, Any]], n_items: int) -> Incidence:
     entries, item_offsets = sort_by_number(set_items, n_items)
     item_sets = np.repeat(np.arange(set_offsets.size - 1), np.diff(set_offsets))[entries]
     return Incidence(set_offsets, set_items, item_offsets.astype(np.int64), item_sets)
+
+
+def moving_sets(parts: list[np.ndarray[Any, Any]], moves: BoolArray) -> Incidence:
+    """As `incidence`, but what never moves is in no two sets: it is read at the same time.
+
+    Parameters
+    ----------
+    parts : list of (n_sets_k, size_k) integer arrays
+        See `incidence`.
+    moves : (n_items,) bool
+        Items that move.
+    """
+    fresh = moves.size
+    own = []
+    for part in parts:
+        rows = part.astype(np.int64)
+        still = ~moves[rows]
+        count = int(np.count_nonzero(still))
+        rows[still] = fresh + np.arange(count)
+        fresh += count
+        own.append(rows)
+    return incidence(own, fresh)
 
 
 def color(graph: Incidence) -> IntArray:

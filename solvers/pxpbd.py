@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from femdeform.scene.constraint_schema import BPXPBDSolver, FPPXPBDSolver
 from femdeform.step_problem import LocalStepProblem
-from solvers.position_based.cell_sweep import BlendedSweep, CellSweep, PiolaSweep
+from solvers.position_based.cell_sweep import CellSweep
 from solvers.position_based.constraint_step import Stopping
+from solvers.position_based.constraint_sweeps import BlendedSweep
+from solvers.position_based.piola_sweep import PiolaSweep
 from solvers.xpbd import CellSolver
 
 

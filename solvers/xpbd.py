@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from femdeform.scene.constraint_schema import PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.step_problem import Budget, IterationObserver, LocalStepProblem, StepResult
 from solvers.linear.interface import LinearSolver
-from solvers.position_based.cell_sweep import BlendedSweep, CellSweep, ConstraintSweep
+from solvers.position_based.cell_sweep import CellSweep
 from solvers.position_based.constraint_step import ConstraintStep, PseudoTimeStep, Stopping
+from solvers.position_based.constraint_sweeps import BlendedSweep, ConstraintSweep
 
 
 class CellSolver:
@@ -31,6 +34,7 @@ class CellSolver:
         """The sweep for a problem, laid out once."""
         if self._sweep is None or self._problem is not problem:
             self._problem, self._sweep = problem, self.make_sweep(problem)
+            self._sweep.links_first = getattr(self.options, "links_first", False)
         return self._sweep
 
     def make_sweep(self, problem: LocalStepProblem) -> CellSweep:
@@ -111,8 +115,8 @@ class PBD(CellSolver):
     Limitations
     -----------
     A comparison. Stiffness comes from too few sweeps: with more of them the body turns rigid and loads, which act only
-    on where the sweeps start, are forgotten. Laws whose constraints vanish at rest: fixed corotated and ARAP; otherwise
-    as XPBD.
+    on where the sweeps start, are forgotten. So are they in statics, where a step starts from ``x + h^2 M^-1 f``. Laws
+    whose constraints vanish at rest: fixed corotated and ARAP; otherwise as XPBD.
     """
 
     options: PBDSolver
@@ -124,6 +128,21 @@ class PBD(CellSolver):
     def stopping(self) -> Stopping:
         """See `CellSolver`."""
         return Stopping(self.options.iterations, None, self.options.check_every, True)
+
+    def step(
+        self,
+        problem: LocalStepProblem,
+        state: Any,
+        observe: IterationObserver | None = None,
+        budget: Budget | None = None,
+    ) -> StepResult:
+        """See `CellSolver`."""
+        if np.any(problem.nodal_terms().weights > 0.0):
+            return super().step(problem, state, observe, budget)
+        options = self.options
+        dt = problem.dt if options.pseudo_step is None else options.pseudo_step
+        step = ConstraintStep(self.sweep_of(problem), problem, state, observe, Budget() if budget is None else budget)
+        return step.pushed(dt, self.stopping(), options.order == "reverse")
 
 
 class XPBDQuasistatic(CellSolver):

@@ -120,6 +120,8 @@ class WeakConstraints:
         Sorted. With `stiffness` and `target` all that a sweep over nodes needs, see `by_node`.
     stiffness : (n, dim, dim) float64
         K [N/m], frozen over a step; k I for springs.
+    direction : (n, dim) float64
+        Unit vectors along which the stiffness is `rows.normal`, frozen over a step; zero where there is none.
     target : (n, dim) float64
         c at the end of the step [m].
     terms : list of WeakConstraintTerm
@@ -143,16 +145,17 @@ class WeakConstraints:
         self.dim = int(rows.target.shape[1])
         self.target = rows.target.copy()
         self.stiffness = np.empty((rows.n_rows, self.dim, self.dim))
+        self.direction = rows.direction.copy()
         self._turning = np.flatnonzero(rows.facets[:, 0] >= 0)
-        self._set_stiffness(rows.direction)
+        self._set_stiffness()
         widths = np.diff(rows.offsets)
         self.terms = [
             WeakConstraintTerm(self, slice(*np.searchsorted(widths, [width, width + 1]))) for width in np.unique(widths)
         ]
 
-    def _set_stiffness(self, direction: FloatArray) -> None:
+    def _set_stiffness(self) -> None:
         """K = k_n n n^T + k_t (I - n n^T); k_t I where there is no direction."""
-        outer = direction[:, :, None] * direction[:, None, :]
+        outer = self.direction[:, :, None] * self.direction[:, None, :]
         difference = (self.rows.normal - self.rows.tangential)[:, None, None]
         self.stiffness[:] = self.rows.tangential[:, None, None] * np.eye(self.dim) + difference * outer
 
@@ -160,9 +163,8 @@ class WeakConstraints:
         """Place the targets of a step to `time` and freeze the normals of facets at the accepted state `x`."""
         self.target[:] = self.rows.target + time * self.rows.velocity
         if self._turning.size:
-            direction = self.rows.direction.copy()
-            direction[self._turning] = facet_normals(x[self.rows.facets[self._turning]])
-            self._set_stiffness(direction)
+            self.direction[self._turning] = facet_normals(x[self.rows.facets[self._turning]])
+            self._set_stiffness()
 
     def by_node(self, n_nodes: int) -> tuple[IntArray, IntArray, FloatArray]:
         """Constraints of every node, for sweeps that visit nodes.
@@ -185,6 +187,14 @@ class WeakConstraints:
         counts = np.bincount(self.rows.nodes, minlength=n_nodes)
         offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         return offsets, row[order], self.rows.weights[order]
+
+    def add_gradient(self, x: FloatArray, out: FloatArray) -> None:
+        """Add the gradient of this rank's rows [N] to ``out`` (n_local, dim)."""
+        for term in self.terms:
+            slots = np.empty((term.cells.size, self.dim))
+            term.gradient(x, slots, 0)
+            for a in range(self.dim):
+                out[:, a] += np.bincount(term.cells.ravel(), slots[:, a], minlength=len(out))
 
     # ------------------------------------------------------------------------------------- what is measured
 

@@ -6,7 +6,7 @@ Backward Euler: ``Phi(x) = 1/(2 h^2) |x - x_hat|_M^2 + PE(x) - f.x`` with ``x_ha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +22,9 @@ from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import Discretization
 from femdeform.fem.energies import CellTerm, ElasticEnergy, FollowerPressure
+from femdeform.fem.thin_constraints import ThinConstraintEnergy, ThinConstraints
 from femdeform.parallel import Partition
-from femdeform.step_problem import LocalCells, NodalTerms
+from femdeform.step_problem import Feature, LocalCells, NodalTerms
 from femdeform.types import FloatArray
 
 # A state whose forces are below this multiple of what rounding may leave is at rest.
@@ -73,6 +74,8 @@ class IncrementalPotential:
         Ties, springs and attachments.
     weak_contact : WeakContact, optional
         Contact of bodies with one another that may be penetrated, serial only.
+    constraints : mapping of str to ThinConstraints, optional
+        By membrane or rod, in place of the energy of its cells.
 
     Attributes
     ----------
@@ -96,6 +99,7 @@ class IncrementalPotential:
         couplings: Sequence[CouplingContact] = (),
         links: WeakConstraints | None = None,
         weak_contact: WeakContact | None = None,
+        constraints: Mapping[str, ThinConstraints] | None = None,
     ) -> None:
         self.discretization = discretization
         self.conditions = conditions
@@ -112,7 +116,11 @@ class IncrementalPotential:
         self.free = conditions.free
         self.dim = discretization.dim
 
-        self.elastic = [ElasticEnergy(group) for group in discretization.groups]
+        thin = {} if constraints is None else constraints
+        self.elastic = [
+            ThinConstraintEnergy(group, thin[group.body]) if group.body in thin else ElasticEnergy(group)
+            for group in discretization.groups
+        ]
         self.pressures = [FollowerPressure(load) for load in conditions.pressures]
         self._link_terms = [] if links is None else links.terms
         self._terms: list[CellTerm] = [*self.elastic, *self.pressures, *self._link_terms]
@@ -461,14 +469,19 @@ class IncrementalPotential:
         """Nodal masses (n_local,) [kg]."""
         return self.discretization.lumped_mass
 
-    def local_cells(self, knows_links: bool = False, knows_fibres: bool = False) -> list[LocalCells]:
+    @property
+    def constraints(self) -> list[ThinConstraints]:
+        """Constraints of membranes and rods in place of the energy of their cells."""
+        return [term.constraints for term in self.elastic if isinstance(term, ThinConstraintEnergy)]
+
+    def local_cells(self, knows: Collection[Feature] = ()) -> list[LocalCells]:
         """See `LocalStepProblem`: the cells of all bodies, merged by law."""
-        if self.weak_contact is not None and not knows_links:
+        if self.weak_contact is not None and "weak_contact" not in knows:
             raise InputError("contact: this method does not know weak constraints; use projected_newton or pbng")
-        if not knows_fibres and any(term.group.fibres for term in self.elastic):
+        if "fibres" not in knows and any(term.group.fibres for term in self.elastic):
             raise InputError("muscle: this method does not know fibres; use projected_newton, pbng or fp_pxpbd")
-        if self.links is not None and not knows_links:
-            raise InputError("links: this method does not know them; use projected_newton, mixed_fem or pbng")
+        if self.links is not None and "links" not in knows:
+            raise InputError("links: this method does not know them")
         if self.partition.n_owned < self.partition.n_global:
             raise InputError("solver.method: a sweep over the nodes runs on one rank, with threads")
         if self.couplings or self._barriers:
@@ -478,6 +491,8 @@ class IncrementalPotential:
         by_law: dict[tuple[type, object], list[LocalCells]] = {}
         for term in self.elastic:
             group = term.group
+            if "constraints" in knows and isinstance(term, ThinConstraintEnergy):
+                continue
             if group.kind != "solid" or group.cells.shape[1] != self.dim + 1:
                 raise InputError(
                     f"bodies.{group.body}: a sweep over the nodes knows linear triangles in 2D and tetrahedra in 3D"
@@ -516,7 +531,7 @@ class IncrementalPotential:
         if not self.pressures:
             return None
         first = len(self.elastic)
-        self._slots[: self._first_row[first]] = 0.0
+        self._slots[:] = 0.0
         for k, term in enumerate(self.pressures):
             term.gradient(x, self._slots, self._first_row[first + k])
         out = np.empty((self.discretization.n_nodes, self.dim))

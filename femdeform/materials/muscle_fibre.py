@@ -165,6 +165,13 @@ def _stiffnesses(Y: Array, fibre: MuscleFibre, project: bool, out: Array) -> Non
             out[k, i] = B[i]
 
 
+def fibre_forces(Y: Array, fibre: MuscleFibre) -> Array:
+    """Return T(l) y / l of stretched directions y = F v (n, 3), l = |y| [Pa], (n, 3)."""
+    out = np.empty_like(Y)
+    _forces(Y, fibre, out)
+    return out
+
+
 def _stretched(F: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     """Unit directions (n, d) and F v with three components (n, 3)."""
     gradients, directions = np.asarray(F, dtype=np.float64), np.asarray(v, dtype=np.float64)
@@ -209,8 +216,7 @@ def energy_density(F: ArrayLike, v: ArrayLike, fibre: MuscleFibre) -> Array:
 def pk1(F: ArrayLike, v: ArrayLike, fibre: MuscleFibre) -> Array:
     """Return the first Piola-Kirchhoff stress of fibres [Pa], (n, d, d); see `energy_density`."""
     directions, Y = _stretched(F, v)
-    out = np.empty_like(Y)
-    _forces(Y, fibre, out)
+    out = fibre_forces(Y, fibre)
     return np.asarray(out[:, : directions.shape[1], None] * directions[:, None, :])
 
 

@@ -14,6 +14,7 @@ from femdeform.errors import InputError, MissingDependencyError
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import BodyInput, Discretization, discretize
 from femdeform.fem.incremental_potential import IncrementalPotential, State
+from femdeform.fem.thin_constraints import ThinConstraints, make_constraints
 from femdeform.materials import law_for, supports_codimension
 from femdeform.run.contacts import make_contacts, make_weak_contact
 from femdeform.run.links import make_links
@@ -96,6 +97,28 @@ def body_input(name: str, body: Any, meshes: Mapping[str, Mesh]) -> BodyInput:
     return BodyInput(mesh, body.kind, body.element_order, body.mass == "consistent", measure, regions, muscles)
 
 
+def _thin_constraints(
+    scene: schema.DeformableScene, discretization: Discretization, conditions: Conditions
+) -> dict[str, ThinConstraints]:
+    """Constraints of the membranes and rods that have some."""
+    made = {}
+    for name, body in scene.bodies.items():
+        if body.kind == "solid" or body.constraints is None or body.material is None:
+            continue
+        place = discretization.bodies[name]
+        tether = body.constraints.tether
+        made[name] = make_constraints(
+            name,
+            body.constraints,
+            discretization.all_points,
+            place.first + place.connectivity,
+            body.thickness if body.kind == "membrane" else body.cross_section,
+            body.material.youngs_modulus,
+            None if tether is None else conditions.nodes(f"{name}.{tether.to}"),
+        )
+    return made
+
+
 def make_linear_solver(options: schema.LinearSolver, ranks: int, notices: list[str]) -> Any:
     """Make the linear solver a scene asks for, or SciPy's with a notice where PETSc cannot be had.
 
@@ -162,8 +185,16 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
         links.begin_step(discretization.points, 0.0)
     quasistatic = scene.time.scheme == "quasistatic"
     weak = make_weak_contact(scene, meshes, discretization, notices)
+    constraints = _thin_constraints(scene, discretization, conditions)
     problem = IncrementalPotential(
-        discretization, conditions, quasistatic, contacts, couplings=couplings, links=links, weak_contact=weak
+        discretization,
+        conditions,
+        quasistatic,
+        contacts,
+        couplings=couplings,
+        links=links,
+        weak_contact=weak,
+        constraints=constraints,
     )
     linear_solver = make_linear_solver(scene.linear_solver, ranks, notices)
     solver = registry.resolve(registry.SOLVERS[scene.solver.method])(scene.solver, linear_solver)

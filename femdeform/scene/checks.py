@@ -10,9 +10,8 @@ import numpy as np
 from femdeform import registry
 from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
-from femdeform.scene.constraint_schema import CELL_SWEEPS, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_checks import contact_findings
-from femdeform.scene.contact_schema import IPCMethod, PenaltyMethod, WeakConstraintMethod
+from femdeform.scene.contact_schema import IPCMethod, WeakConstraintMethod
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.link_checks import link_findings
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
@@ -20,10 +19,10 @@ from femdeform.scene.meshing import survey_meshes
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.muscle_checks import muscle_findings
 from femdeform.scene.partial import sound_part
-from femdeform.scene.position_schema import PBNGSolver
 from femdeform.scene.quantity_checks import quantity_findings
 from femdeform.scene.selection_checks import COMPONENTS, hint_of, judge_selection, vectors_inside
 from femdeform.scene.skins import load_skins
+from femdeform.scene.sweep_checks import sweep_findings
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
@@ -59,6 +58,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *muscle_findings(loaded.scene, meshes, frozenset(coarse)),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
+        *sweep_findings(loaded.scene, meshes, frozenset(coarse)),
     ]
     return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
 
@@ -205,10 +205,6 @@ def _solver_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
     chosen = scene.linear_solver
     if isinstance(scene.solver, MixedFEMSolver):
         yield from _mixed_findings(scene, scene.solver)
-    if isinstance(scene.solver, (PBNGSolver, *CELL_SWEEPS)):
-        yield from _sweep_findings(scene)
-    if isinstance(scene.solver, CELL_SWEEPS):
-        yield from _constraint_findings(scene)
     if isinstance(chosen, schema.KSPLinearSolver):
         known = registry.preset_names()
         if chosen.preset not in known:
@@ -239,41 +235,6 @@ def _mixed_findings(scene: schema.DeformableScene, solver: MixedFEMSolver) -> It
     if solver.scheme == "alternating" and isinstance(scene.contact, WeakConstraintMethod):
         message = "alternating knows obstacles only; use converged with contact weak_constraints"
         yield Finding(("solver", "scheme"), message)
-
-
-def _sweep_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
-    """What sweeps over nodes and cells do not know."""
-    method = scene.solver.method
-    for name, body in scene.bodies.items():
-        if not isinstance(body, schema.SolidBody):
-            yield Finding(("bodies", name, "kind"), f"{method} knows solids only, not a {body.kind}")
-        elif body.element_order != 1:
-            yield Finding(("bodies", name, "element_order"), f"{method} knows linear elements only")
-        if body.mass == "consistent" and scene.time.scheme != "quasistatic":
-            yield Finding(("bodies", name, "mass"), f"{method} needs a mass at each node by itself; use lumped")
-    if isinstance(scene.solver, PBNGSolver):
-        if isinstance(scene.contact, IPCMethod):
-            yield Finding(("contact", "method"), "pbng knows penalty and weak_constraints only")
-    elif not isinstance(scene.contact, PenaltyMethod):
-        yield Finding(("contact", "method"), f"{method} knows obstacles by penalty only")
-
-
-def _constraint_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
-    """What constraints of cells do not know."""
-    solver = scene.solver
-    statics = scene.time.scheme == "quasistatic"
-    if statics != isinstance(solver, XPBDQSSolver):
-        advice = "for statics there is xpbd_qs" if statics else "for dynamics there is xpbd"
-        yield Finding(("solver", "method"), f"{solver.method} does not go with {scene.time.scheme}; {advice}")
-    known = ("fixed_corotated", "arap") if isinstance(solver, PBDSolver) else ("fixed_corotated", "arap", "neo_hookean")
-    if isinstance(solver, FPPXPBDSolver) or (isinstance(solver, XPBDSolver) and solver.constraints == "root"):
-        return
-    for name, body in scene.bodies.items():
-        materials = [(("material",), body.material)] + [(("regions", key), m) for key, m in body.regions.items()]
-        for where, material in materials:
-            if material is not None and material.law not in known:
-                message = f"{solver.method} knows constraints of {', '.join(known)} only"
-                yield Finding(("bodies", name, *where, "law"), message)
 
 
 # ----------------------------------------------------------------------------------------------- whole files

@@ -10,7 +10,8 @@ from femdeform.scene.scene_model import Positive, SceneModel
 
 _EPSILON = "added under the root of the shear constraint, as the square of a strain [-]"
 _CHECK = "sweeps between two looks at the residual, a look costs about as much as five"
-_ORDER = "order in which constraints are visited, which decides what is found"
+_ORDER = "order in which constraints of cells are visited, which decides what is found"
+_LINKS = "visit `links` before the cells, not after them: what is visited last is met best"
 
 
 def _fixed(count: int) -> str:
@@ -29,6 +30,7 @@ class XPBDSolver(SceneModel):
     check_every: int = Field(default=10, ge=1, description=_CHECK)
     epsilon: float = Field(default=1e-10, ge=0.0, lt=1.0, description=_EPSILON)
     order: Literal["forward", "reverse"] = Field(default="forward", description=_ORDER)
+    links_first: bool = Field(default=False, description=_LINKS)
     constraints: Literal["pair", "root"] = Field(
         default="pair",
         description="pair: shape and volume (fixed_corotated, arap, neo_hookean); root: the square root of the energy, "
@@ -54,11 +56,17 @@ class XPBDSolver(SceneModel):
 class PBDSolver(SceneModel):
     method: Literal["pbd"] = Field(
         description="position-based dynamics: XPBD with infinite stiffness, so that the number of sweeps decides how "
-        "stiff a body is; fixed_corotated and arap; dynamics, one rank; a comparison"
+        "stiff a body is; fixed_corotated and arap; one rank; a comparison, in statics as well"
     )
     iterations: int = Field(default=20, ge=1, description="sweeps a step")
+    pseudo_step: Positive | None = Field(
+        default=None,
+        description="statics only: time for which the loads push the masses before the sweeps, which is all that is "
+        "seen of them [s]; default: the length of the step",
+    )
     check_every: int = Field(default=10, ge=1, description=_CHECK)
     order: Literal["forward", "reverse"] = Field(default="forward", description=_ORDER)
+    links_first: bool = Field(default=False, description=_LINKS)
 
     @property
     def tolerance(self) -> None:
@@ -87,6 +95,7 @@ class XPBDQSSolver(SceneModel):
     )
     epsilon: float = Field(default=1e-10, ge=0.0, lt=1.0, description=_EPSILON)
     order: Literal["forward", "reverse"] = Field(default="forward", description=_ORDER)
+    links_first: bool = Field(default=False, description=_LINKS)
 
     @property
     def accuracy(self) -> str:

@@ -39,6 +39,7 @@ from femdeform.scene.scene_model import (
     distinct,
 )
 from femdeform.scene.selection_schema import Selection
+from femdeform.scene.thin_schema import MembraneConstraints, RodConstraints
 
 # ------------------------------------------------------------------------------------------------- materials
 
@@ -157,12 +158,18 @@ class SolidBody(_BodyModel):
 class MembraneBody(_BodyModel):
     kind: Literal["membrane"] = Field(description="triangles in 3D")
     thickness: Positive = Field(description="thickness of the membrane [m]")
+    constraints: MembraneConstraints | None = Field(
+        default=None, description="constraints in place of the energy of the law, for the methods xpbd and pbd"
+    )
     element_order: Literal[1] = Field(default=1, description="polynomial order of the displacement, P1 only")
 
 
 class RodBody(_BodyModel):
     kind: Literal["rod"] = Field(description="line cells")
     cross_section: Positive = Field(description="area of the cross-section [m^2]")
+    constraints: RodConstraints | None = Field(
+        default=None, description="constraints in place of the energy of the law, for the methods xpbd and pbd"
+    )
     element_order: Literal[1] = Field(default=1, description="polynomial order of the displacement, P1 only")
 
 

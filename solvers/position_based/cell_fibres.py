@@ -22,7 +22,7 @@ import numpy as np
 
 from femdeform.fem.fibres import FibreCells
 from femdeform.jit import njit, prange
-from femdeform.materials.muscle_fibre import fibre_derivatives
+from femdeform.materials.muscle_fibre import fibre_derivatives, fibre_forces
 from femdeform.types import FloatArray, IntArray
 from solvers.position_based.cell_layout import CellBatch
 
@@ -168,6 +168,8 @@ class CellFibres:
         With rows of the batch.
     dim : int
         Dimension.
+    stride : int
+        Numbers a node.
 
     Attributes
     ----------
@@ -175,7 +177,8 @@ class CellFibres:
         t of the fibres as it is in the base points [Pa].
     """
 
-    def __init__(self, batch: CellBatch, fibres: FibreCells, dim: int) -> None:
+    def __init__(self, batch: CellBatch, fibres: FibreCells, dim: int, stride: int) -> None:
+        self._stride = stride
         self.batch, self.muscle, self.rows, self._dim = batch, fibres.muscle, fibres.rows, dim
         self.weights = np.ascontiguousarray(fibres.weights[:, 0])
         self.pulls = np.zeros((len(self.rows), 3))
@@ -202,9 +205,19 @@ class CellFibres:
                 self.pulls,
             )
 
-    def push(self, h2: float, n_cells: int) -> FloatArray:
-        """What the fibres add to the base points at the corners, over w_i (n_cells, dim + 1, dim)."""
-        out = np.zeros((n_cells, self._dim + 1, self._dim))
+    def current_pulls(self, points: FloatArray) -> FloatArray:
+        """t of the fibres at positions (n_nodes, dim) by place [Pa], (n, 3)."""
+        Y = np.zeros((len(self.rows), 3))
+        Y[:, : self._dim] = np.einsum("na,nac->nc", self.weights, points[self._places()])
+        return fibre_forces(Y, self.muscle.law)
+
+    def add_push(self, h2: float, pulls: FloatArray, out: FloatArray) -> None:
+        """Add ``-h^2 V omega_i t`` of pulls t (n, 3) at the corners to `out` (n_nodes, dim) by place."""
         size = -h2 * self.batch.volumes[self.rows]
-        out[self.rows] = size[:, None, None] * self.weights[:, :, None] * self.pulls[:, None, : self._dim]
-        return out
+        parts = size[:, None, None] * self.weights[:, :, None] * pulls[:, None, : self._dim]
+        places = self._places().ravel()
+        for c in range(self._dim):
+            out[:, c] += np.bincount(places, parts[:, :, c].ravel(), minlength=len(out))
+
+    def _places(self) -> IntArray:
+        return (self.batch.corners[self.rows] // self._stride).astype(np.int64)

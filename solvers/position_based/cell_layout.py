@@ -6,13 +6,14 @@ share no node and are visited at the same time.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from femdeform.fem.fibres import FibreCells
-from femdeform.step_problem import LocalCells, LocalStepProblem
+from femdeform.step_problem import Feature, LocalCells, LocalStepProblem
 from femdeform.types import BoolArray, FloatArray, IntArray
 from solvers.coloring import color, incidence
 from solvers.position_based import layout
@@ -69,7 +70,7 @@ class CellLayout:
     batches: list[CellBatch]
 
 
-def lay_out_cells(problem: LocalStepProblem, stride: int, knows_fibres: bool = False) -> CellLayout:
+def lay_out_cells(problem: LocalStepProblem, stride: int, knows: Collection[Feature] = ()) -> CellLayout:
     """Colour and sort the cells of a problem; cells without anything to move are left out.
 
     Parameters
@@ -78,10 +79,10 @@ def lay_out_cells(problem: LocalStepProblem, stride: int, knows_fibres: bool = F
         With linear triangles or tetrahedra.
     stride : int
         Numbers a node.
-    knows_fibres : bool
-        Whether the sweep knows muscle fibres; else they are refused.
+    knows : collection of str
+        What the sweep takes in besides cells, see `LocalStepProblem.local_cells`.
     """
-    groups = list(problem.local_cells(knows_fibres=knows_fibres))
+    groups = list(problem.local_cells(knows))
     moves: BoolArray = np.any(problem.free, axis=1)
     n_nodes = len(problem.points)
     parts = [_moving(group, moves) for group in groups]
@@ -89,6 +90,8 @@ def lay_out_cells(problem: LocalStepProblem, stride: int, knows_fibres: bool = F
     used = np.zeros(n_nodes, dtype=bool)
     for part in parts:
         used[part.cells] = True
+    for thin in problem.constraints:
+        used[thin.nodes] = True
     numbering = layout.number_nodes(problem.points, np.zeros(n_nodes, dtype=np.int64), moves & used)
     n_colors = int(colors.max()) + 1 if colors.size else 0
     # Nodes some of whose components are prescribed make their cells a batch of their own, with masks.

@@ -1,26 +1,20 @@
-"""Gauss-Seidel sweeps over the cells of a step problem, compiled, colour by colour: XPBD, B-PXPBD, FP-PXPBD."""
+"""Gauss-Seidel sweeps over the cells of a step problem and its weak constraints, compiled, colour by colour."""
 
 from __future__ import annotations
-
-import math
-from collections.abc import Iterator
 
 import numpy as np
 
 from femdeform.errors import InputError
-from femdeform.step_problem import LocalStepProblem
+from femdeform.step_problem import Feature, LocalStepProblem
 from femdeform.types import FloatArray, IntArray
-from solvers.position_based import constraint_kernels, piola_kernels
-from solvers.position_based.cell_fibres import CellFibres
+from solvers.position_based import link_kernels, piola_kernels
 from solvers.position_based.cell_layout import CellBatch, lay_out_cells
-from solvers.position_based.constraints import PAIRED, VANISHING
-from solvers.position_based.nodal_blocks import is_bounded
+from solvers.position_based.link_sweep import LinkSweep
 from solvers.position_based.obstacle_kernels import ObstacleData, collect
+from solvers.position_based.thin_sweep import ThinSweep
 
 # Sweeps after which base points, sums of many small changes, are made anew.
 _REFRESH = 100
-# (1 - zeta) kappa that blended sweeps bear for kappa up to 3: half of what the fixed corotated law alone does.
-_BLEND = 0.05
 
 
 class CellSweep:
@@ -29,6 +23,8 @@ class CellSweep:
     Parameters
     ----------
     problem : LocalStepProblem
+    rigid : bool
+        PBD: infinite stiffness.
 
     Attributes
     ----------
@@ -36,14 +32,19 @@ class CellSweep:
         Colours of the cells, one threaded loop each.
     h2 : float
         Square of the time step of the sweep [s^2].
+    links_first : bool
+        Weak constraints before the cells, not after them.
+    has_residual_parts : bool
+        Whether `residual_parts` can be had: PBD has no multipliers.
     """
 
     stride = 4
     blend = 1.0
-    knows_fibres = False
+    link_mode = link_kernels.PLAIN
+    knows = frozenset[Feature]({"links"})
 
-    def __init__(self, problem: LocalStepProblem) -> None:
-        self._layout = lay_out_cells(problem, self.stride, self.knows_fibres)
+    def __init__(self, problem: LocalStepProblem, rigid: bool = False) -> None:
+        self._layout = lay_out_cells(problem, self.stride, self.knows)
         self.n_colors = self._layout.n_colors
         self.n_nodes, self.dim = problem.points.shape
         self._dim = (0,) * self.dim
@@ -59,12 +60,23 @@ class CellSweep:
         self._free = np.zeros((n, 3), dtype=np.uint8)
         self._free[:, : self.dim] = free
         self.h2 = 1.0
+        self.links_first = False
+        self.has_residual_parts = not rigid
+        self._links: LinkSweep | None = None
+        if problem.links is not None:
+            place = self._layout.numbering.place
+            self._links = LinkSweep(problem.links, place, self._free, self.stride, self.link_mode, rigid)
+        self._thin = [
+            ThinSweep(thin, self._layout.numbering.place, self._free, self.stride, rigid)
+            for thin in problem.constraints
+        ]
         self._obstacles: ObstacleData | None = None
         self._touched: IntArray = np.empty(0, dtype=np.int64)
         self._touched_rows: IntArray = np.empty(0, dtype=np.int64)
         self._touched_free = np.empty((0, 3), dtype=np.uint8)
         self._contact_forces = np.empty((0, 3))
         self._target = np.zeros((n, self.dim))
+        self._follower = np.zeros((n, self.dim))
 
     def _fields(self) -> FloatArray:
         return self._x.reshape(self.n_nodes, self.stride)
@@ -91,6 +103,7 @@ class CellSweep:
         self.h2 = dt * dt
         fields = self._fields()
         self._target[:] = target[self._layout.numbering.order]
+        self._follower[:] = 0.0
         fields[:, : self.dim] = self._target
         if self.stride > 4:
             fields[:, 4 : 4 + self.dim] = self._target
@@ -103,14 +116,20 @@ class CellSweep:
             self._touched_rows = data.rows[self._touched]
             self._touched_free = self._free[self._touched]
             self._contact_forces = np.zeros((self._touched.size, 3))
+        if self._links is not None:
+            self._links.begin()
+        for thin in self._thin:
+            thin.begin()
         self._forget()
 
-    def shift_target(self, change: FloatArray) -> None:
-        """Move x~ by (n_nodes, dim) [m], and what depends on it."""
+    def follow(self, forces: FloatArray) -> None:
+        """Take forces (n_nodes, dim) [N] into x~ in place of those given before, and move what depends on it."""
         order = self._layout.numbering.order
-        own = np.where(self._free[:, : self.dim] != 0, change[order], 0.0)
-        self._target += own
         fields = self._fields()
+        change = self.h2 * fields[:, 3:4] * (forces[order] - self._follower)
+        own = np.where(self._free[:, : self.dim] != 0, change, 0.0)
+        self._follower[:] = forces[order]
+        self._target += own
         fields[:, : self.dim] += own
         if self.stride > 4:
             fields[:, 4 : 4 + self.dim] += own
@@ -120,13 +139,19 @@ class CellSweep:
         out[self._layout.numbering.order] = self._fields()[:, : self.dim]
 
     def sweep(self, reverse: bool = False) -> None:
-        """Visit every cell once, colours in order or in reverse, then the nodes at obstacles."""
+        """Visit every cell once, colours in order or in reverse, weak constraints, then the nodes at obstacles."""
+        if self._links is not None and self.links_first:
+            self._links.sweep(self._x, self.h2, reverse)
         colors = range(self.n_colors)
         for c in reversed(colors) if reverse else colors:
             for k, batch in enumerate(self.batches):
                 first, last = int(batch.offsets[c]), int(batch.offsets[c + 1])
                 if last > first:
                     self._visit(k, batch, first, last, reverse)
+        for thin in self._thin:
+            thin.sweep(self._x, self.h2, reverse)
+        if self._links is not None and not self.links_first:
+            self._links.sweep(self._x, self.h2, reverse)
         data = self._obstacles
         if data is not None:
             piola_kernels.touch_obstacles(
@@ -149,6 +174,74 @@ class CellSweep:
                 self._contact_forces,
             )
 
+    def residual_parts(self, problem: LocalStepProblem) -> tuple[FloatArray, FloatArray]:
+        """What multipliers and positions leave of the equations of motion, and what the multipliers lack.
+
+        The primary residual is ``(m (x - x~) - sum l grad C) / h^2``, the secondary one ``sum (C / alpha + l / h^2)
+        grad C``, both with gradients at the present positions; stresses, forces of contact and those of pressure in x~
+        take the place of multipliers. They add up to the residual of the problem.
+
+        Parameters
+        ----------
+        problem : LocalStepProblem
+            With the step begun.
+
+        Returns
+        -------
+        primary, secondary : (n_nodes, dim) float64
+            [N], zero where components are prescribed.
+        """
+        n, dim = self.n_nodes, self.dim
+        held, missing = np.zeros((n, dim)), np.zeros((n, dim))
+        fields = self._fields()
+        points = fields[:, :dim]
+        for k, batch in enumerate(self.batches):
+            parts = np.empty((2, len(batch.volumes), dim * dim))
+            self._measure(k, batch, parts[0], parts[1])
+            self._gather(batch, parts[0], held)
+            self._gather(batch, parts[1], missing)
+            self._measure_further(k, points, held, missing)
+        if self._links is not None:
+            self._links.defects(points, self.h2, held, missing)
+        for thin in self._thin:
+            thin.defects(np.ascontiguousarray(points), self.h2, held, missing)
+        order = self._layout.numbering.order
+        x = np.empty((n, dim))
+        x[order] = points
+        follower = problem.follower_forces(x)
+        if follower is not None:
+            missing += self.h2 * (self._follower - follower[order])
+        if self._obstacles is not None:
+            push = np.zeros((n, dim))
+            for contact in problem.node_contacts():
+                contact.add_gradient(x, push)
+            held[self._touched] += self.h2 * self._contact_forces[:, :dim]
+            missing += self.h2 * push[order]
+            missing[self._touched] += self.h2 * self._contact_forces[:, :dim]
+        free = self._free[:, :dim] != 0
+        mass = np.divide(1.0, fields[:, 3:4], out=np.zeros((n, 1)), where=fields[:, 3:4] > 0.0)
+        primary, secondary = np.zeros((n, dim)), np.zeros((n, dim))
+        primary[order] = np.where(free, mass * (points - self._target) - held, 0.0) / self.h2
+        secondary[order] = np.where(free, missing, 0.0) / self.h2
+        return primary, secondary
+
+    def _gather(self, batch: CellBatch, matrices: FloatArray, out: FloatArray) -> None:
+        """Add ``M g_i`` of each cell's matrix (n_cells, dim dim) at its corners, (n_nodes, dim) by place."""
+        dim = self.dim
+        gradients = batch.gradients.reshape(-1, dim, dim)
+        gradients = np.concatenate([-gradients.sum(axis=1, keepdims=True), gradients], axis=1)
+        parts = np.einsum("eab,eib->eia", matrices.reshape(-1, dim, dim), gradients)
+        places = (batch.corners // self.stride).astype(np.int64).ravel()
+        for a in range(dim):
+            out[:, a] += np.bincount(places, parts[:, :, a].ravel(), minlength=len(out))
+
+    def _measure(self, k: int, batch: CellBatch, held: FloatArray, missing: FloatArray) -> None:
+        """Write what the cells of a batch hold and lack, (n_cells, dim dim) [kg m^2]; see `residual_kernels`."""
+        raise NotImplementedError
+
+    def _measure_further(self, k: int, points: FloatArray, held: FloatArray, missing: FloatArray) -> None:
+        """Add what else the cells of a batch hold and lack at positions (n_nodes, dim) by place, (n_nodes, dim)."""
+
     def _forget(self) -> None:
         """Set the unknowns of the cells to zero."""
         raise NotImplementedError
@@ -158,48 +251,7 @@ class CellSweep:
         raise NotImplementedError
 
 
-class ConstraintSweep(CellSweep):
-    """XPBD and PBD.
-
-    Parameters
-    ----------
-    problem : LocalStepProblem
-    epsilon : float
-        See `constraints`.
-    rigid : bool
-        PBD: infinite stiffness.
-    root : bool
-        One constraint a cell, the root of the energy, instead of two.
-
-    Raises
-    ------
-    InputError
-        If a law has no such constraints.
-    """
-
-    def __init__(
-        self, problem: LocalStepProblem, epsilon: float = 1e-10, rigid: bool = False, root: bool = False
-    ) -> None:
-        super().__init__(problem)
-        self.epsilon, self.rigid, self.root = epsilon, rigid, root
-        if not root:
-            require_pairs(self.batches, VANISHING if rigid else PAIRED)
-        self.multipliers = [np.zeros((len(batch.volumes), 2)) for batch in self.batches]
-
-    def _forget(self) -> None:
-        for multipliers in self.multipliers:
-            multipliers[:] = 0.0
-
-    def _visit(self, k: int, batch: CellBatch, first: int, last: int, reverse: bool) -> None:
-        b = batch
-        cells = (first, last, b.corners, b.gradients, b.volumes, b.masks, b.law, self._dim, self.h2, self.epsilon)
-        if self.root:
-            constraint_kernels.project_roots(*cells, self._x, self.multipliers[k])
-        else:
-            constraint_kernels.project_pairs(*cells, self.rigid, reverse, self._x, self.multipliers[k])
-
-
-class _BasedSweep(CellSweep):
+class BasedSweep(CellSweep):
     """Sweeps that keep base points: x~ and what the cells do to each node, as they were last visited."""
 
     stride = 8
@@ -223,191 +275,23 @@ class _BasedSweep(CellSweep):
             self._refresh()
 
     def _push(self, k: int) -> FloatArray:
-        """``w_i^-1`` times what each cell of a batch adds to the base points, without gradients (n_cells, d, d)."""
+        """``w_i^-1`` times what each cell of a batch adds to the base points, without gradients (n_cells, d d)."""
         raise NotImplementedError
 
-    def _push_corners(self, k: int) -> Iterator[FloatArray]:
-        """What else cells of a batch add, over w_i, corner by corner (n_cells, d + 1, d)."""
-        yield from ()
+    def _add_further(self, k: int, total: FloatArray) -> None:
+        """Add what else the cells of a batch do to the base points, over w_i (n_nodes, dim) by place."""
 
     def _refresh(self) -> None:
         """Make the base points anew from what the cells hold."""
         dim, n = self.dim, self.n_nodes
         total = np.zeros((n, dim))
         for k, batch in enumerate(self.batches):
-            gradients = batch.gradients.reshape(-1, dim, dim)
-            gradients = np.concatenate([-gradients.sum(axis=1, keepdims=True), gradients], axis=1)
-            parts = np.einsum("eab,eib->eia", self._push(k), gradients)
-            for more in self._push_corners(k):
-                parts = parts + more
-            places = (batch.corners // self.stride).astype(np.int64).ravel()
-            for a in range(dim):
-                total[:, a] += np.bincount(places, parts[:, :, a].ravel(), minlength=n)
+            self._gather(batch, self._push(k), total)
+            self._add_further(k, total)
+        if self._links is not None:
+            self._links.add_held(total)
         if self._obstacles is not None:
             total[self._touched] += self.h2 * self._contact_forces[:, :dim]
         fields = self._fields()
         total *= fields[:, 3:4] * (self._free[:, :dim] != 0)
         fields[:, 4 : 4 + dim] = self._target + total
-
-
-class BlendedSweep(_BasedSweep):
-    """B-PXPBD, and XPBD with the primary residual kept.
-
-    Parameters
-    ----------
-    problem : LocalStepProblem
-    zeta : float, optional
-        Part of XPBD, in [0, 1]; from the stiffness number of each cell where it is not given.
-    epsilon : float
-        See `constraints`.
-    keep_residual : bool
-        The comparison of eq. 5.11.
-
-    Raises
-    ------
-    InputError
-        If a law has no constraints.
-    """
-
-    def __init__(
-        self,
-        problem: LocalStepProblem,
-        zeta: float | None = None,
-        epsilon: float = 1e-10,
-        keep_residual: bool = False,
-    ) -> None:
-        super().__init__(problem)
-        require_pairs(self.batches, PAIRED)
-        self.epsilon, self.keep_residual = epsilon, keep_residual
-        self._wanted = 0.0 if keep_residual else zeta
-        self.multipliers = [np.zeros((len(batch.volumes), 2)) for batch in self.batches]
-        # Stiffness numbers for h = 1 s.
-        self._unit_kappa = [_unit_kappa(problem, batch) for batch in self.batches]
-        self.zeta = [np.zeros(len(batch.volumes)) for batch in self.batches]
-
-    def _forget(self) -> None:
-        super()._forget()
-        for multipliers in self.multipliers:
-            multipliers[:] = 0.0
-        for zeta, kappa in zip(self.zeta, self._unit_kappa, strict=True):
-            zeta[:] = np.maximum(1.0 - _BLEND / (self.h2 * kappa), 0.0) if self._wanted is None else self._wanted
-        self.blend = max((float(zeta.max()) for zeta in self.zeta if zeta.size), default=0.0)
-
-    def _push(self, k: int) -> FloatArray:
-        return self._held[k].reshape(-1, self.dim, self.dim)
-
-    def _visit(self, k: int, batch: CellBatch, first: int, last: int, reverse: bool) -> None:
-        b = batch
-        constraint_kernels.project_blended(
-            first,
-            last,
-            b.corners,
-            b.gradients,
-            b.volumes,
-            b.masks,
-            b.law,
-            self._dim,
-            self.h2,
-            self.epsilon,
-            self.zeta[k],
-            self.keep_residual,
-            self._x,
-            self.multipliers[k],
-            self._held[k],
-        )
-
-
-class PiolaSweep(_BasedSweep):
-    """FP-PXPBD; after the stresses of the cells of a colour the tensions of their muscle fibres.
-
-    Parameters
-    ----------
-    problem : LocalStepProblem
-    local : int
-        Steps of Newton's method a visit.
-    exact : bool
-        With the projected tangent instead of its model.
-    search : bool, optional
-        Whether steps are halved where a cell's energy rises; by law where not given.
-    """
-
-    blend = 0.0
-    knows_fibres = True
-
-    def __init__(
-        self, problem: LocalStepProblem, local: int = 3, exact: bool = False, search: bool | None = None
-    ) -> None:
-        super().__init__(problem)
-        self.local, self.exact = local, exact
-        self._search = [(exact or not is_bounded(batch.law)) if search is None else search for batch in self.batches]
-        self._fibres = [[CellFibres(batch, part, self.dim) for part in batch.fibres] for batch in self.batches]
-
-    @property
-    def stresses(self) -> list[FloatArray]:
-        """P of the cells of each batch as it is in the base points (n_cells, dim dim) [Pa]."""
-        return self._held
-
-    def _push(self, k: int) -> FloatArray:
-        P = self._held[k].reshape(-1, self.dim, self.dim)
-        return -self.h2 * self.batches[k].volumes[:, None, None] * P
-
-    def _push_corners(self, k: int) -> Iterator[FloatArray]:
-        for fibres in self._fibres[k]:
-            yield fibres.push(self.h2, len(self.batches[k].volumes))
-
-    def _forget(self) -> None:
-        super()._forget()
-        for parts in self._fibres:
-            for fibres in parts:
-                fibres.pulls[:] = 0.0
-
-    def _visit(self, k: int, batch: CellBatch, first: int, last: int, reverse: bool) -> None:
-        b = batch
-        piola_kernels.relax_cells(
-            first,
-            last,
-            b.corners,
-            b.gradients,
-            b.volumes,
-            b.masks,
-            b.law,
-            self._dim,
-            self.h2,
-            self.local,
-            self.exact,
-            self._search[k],
-            self._x,
-            self._held[k],
-        )
-        color = int(np.searchsorted(b.offsets, first, side="right")) - 1
-        for fibres in self._fibres[k]:
-            fibres.visit(color, self.h2, self._x)
-
-
-def require_pairs(batches: list[CellBatch], known: tuple[type, ...]) -> None:
-    """Refuse laws that are not among those known as pairs of constraints.
-
-    Raises
-    ------
-    InputError
-    """
-    for batch in batches:
-        if not isinstance(batch.law, known):
-            names = ", ".join(kind.__name__ for kind in known)
-            raise InputError(f"material.law: no constraints of {type(batch.law).__name__}; known are {names}")
-
-
-def _unit_kappa(problem: LocalStepProblem, batch: CellBatch) -> FloatArray:
-    """E / (rho dx^2) of each cell [1/s^2], dx being its shortest edge; E = 3 mu, that of an incompressible material."""
-    points, cells = problem.points, batch.cells
-    n = cells.shape[1]
-    shortest = np.full(len(cells), math.inf)
-    for i in range(n):
-        for j in range(i):
-            edges = points[cells[:, i]] - points[cells[:, j]]
-            shortest = np.minimum(shortest, np.einsum("ea,ea->e", edges, edges))
-    share = np.zeros(len(points))
-    for group in problem.local_cells():
-        np.add.at(share, group.cells, (group.volumes / n)[:, None])
-    density = (problem.lumped_mass[cells] / share[cells]).mean(axis=1)
-    return np.asarray(3.0 * batch.law.mu / (density * shortest))

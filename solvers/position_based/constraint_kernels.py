@@ -17,7 +17,8 @@ from __future__ import annotations
 from typing import Any
 
 from femdeform.jit import njit, prange
-from solvers.position_based.cell_algebra import combine, deformation, dot, load, mobility, spread, store, times
+from solvers.position_based.cell_algebra import combine, dot, load, store, times
+from solvers.position_based.cell_corners import deformation, mobility, spread
 from solvers.position_based.chunk_numbers import CHUNK, MATRIX, MOBILITY, get_matrix, get_mobility, make_scratch, put
 from solvers.position_based.chunk_rotations import FURTHER, rotate, rotation_of
 from solvers.position_based.constraints import (

@@ -10,7 +10,6 @@ import numpy as np
 
 from femdeform.errors import InputError
 from femdeform.step_problem import Budget, IterationObserver, LocalStepProblem, StepResult
-from femdeform.types import FloatArray
 from solvers.descent import ratio
 from solvers.position_based.cell_sweep import CellSweep
 
@@ -67,10 +66,9 @@ class ConstraintStep:
         self.sweep, self.problem, self.state = sweep, problem, state
         self.observe, self.budget = observe, budget
         self.iteration = 0
-        self.norm = self.last = self.first = math.inf
+        self.norm = self.growth = self.last = self.first = math.inf
         self.size = float(np.ptp(problem.points, axis=0).max())
         self.x = problem.predictor(state)
-        self._follower: FloatArray | None = None
 
     def dynamics(self, stopping: Stopping, reverse: bool = False) -> StepResult:
         """A step of backward Euler.
@@ -80,13 +78,23 @@ class ConstraintStep:
         InputError
             If the problem has no inertia.
         """
-        problem = self.problem
-        dt = math.sqrt(time_step_squared(problem))
+        dt = math.sqrt(time_step_squared(self.problem))
         self._begin()
-        self.sweep.begin(problem, self.x, dt)
-        self._follow(dt)
+        self.sweep.begin(self.problem, self.x, dt)
+        return self._run(True, stopping, reverse)
+
+    def pushed(self, dt: float, stopping: Stopping, reverse: bool = False) -> StepResult:
+        """A static step of PBD: sweeps from where loads push masses at rest in a time dt [s]."""
+        self._begin()
+        self._push(dt)
+        return self._run(False, stopping, reverse)
+
+    def _run(self, follows: bool, stopping: Stopping, reverse: bool) -> StepResult:
+        """Sweeps and looks to the end of the step; `follows`: x~ takes over forces that follow the positions."""
+        if follows:
+            self._follow()
         self._look()
-        self.first = max(self.norm, problem.force_scale)
+        self.first = max(self.growth, self.problem.force_scale)
         while True:
             done = self._verdict(stopping)
             if done is not None:
@@ -96,7 +104,8 @@ class ConstraintStep:
                 return self.result(False, spent)
             end = min(self.iteration + stopping.check_every, stopping.sweeps)
             self._sweeps(end, reverse)
-            self._follow(dt)
+            if follows:
+                self._follow()
             self._look()
             self._report()
 
@@ -121,6 +130,13 @@ class ConstraintStep:
         problem.linearize_at(self.state.x)
         problem.settle_force_scale(self.x)
 
+    def _push(self, dt: float) -> None:
+        """Begin sweeps with x~ where loads push the masses, at rest, in a time dt [s]."""
+        problem = self.problem
+        push = dt * dt * problem.nodal_terms().loads / problem.lumped_mass[:, None]
+        self.sweep.begin(problem, np.where(problem.free, self.x + push, self.x), dt)
+        self._follow()
+
     def _sweeps(self, end: int, reverse: bool) -> None:
         if self.budget.iterations is not None:
             end = min(end, self.budget.iterations)
@@ -130,20 +146,27 @@ class ConstraintStep:
             if self.budget.seconds is not None and self.budget.spent(self.iteration) is not None:
                 break
 
-    def _follow(self, dt: float) -> None:
-        """Take over forces that follow the positions into x~."""
+    def _follow(self) -> None:
         self.sweep.read(self.x)
-        follower = self.problem.follower_forces(self.x)
-        if follower is not None:
-            change = follower if self._follower is None else follower - self._follower
-            self._follower = follower
-            self.sweep.shift_target(dt * dt * change / self.problem.lumped_mass[:, None])
+        forces = self.problem.follower_forces(self.x)
+        if forces is not None:
+            self.sweep.follow(forces)
 
     def _look(self) -> None:
-        """Residual at the present positions [N]."""
+        """Residual where the sweeps are [N]."""
         self.sweep.read(self.x)
-        self.last = self.norm
-        self.norm = self.problem.residual_norm(self.problem.gradient(self.x))
+        self._judge()
+
+    def _judge(self) -> None:
+        """Residual at x [N], and what tells whether it grows."""
+        gradient = self.problem.gradient(self.x)
+        self.last = self.growth
+        self.norm = self.growth = self.problem.residual_norm(gradient)
+        if self.problem.links is not None:
+            # Stiff links that are not yet met have any force; that is no divergence.
+            links = np.zeros_like(gradient)
+            self.problem.links.add_gradient(self.x, links)
+            self.growth = self.problem.residual_norm(gradient - np.where(self.problem.free, links, 0.0))
 
     def trouble(self) -> str:
         """How the step has diverged, or empty."""
@@ -151,8 +174,8 @@ class ConstraintStep:
             return "the residual is not finite"
         if np.abs(self.x - self.state.x).max(initial=0.0) > _FAR * self.size:
             return f"diverged: nodes have left by more than {_FAR:g} times the size of the bodies"
-        if self.norm > _GROWTH * self.first and self.norm > self.last:
-            return f"diverged: the residual has grown to {self.norm / self.first:.3g} times the forces it began with"
+        if self.growth > _GROWTH * self.first and self.growth > self.last:
+            return f"diverged: the residual has grown to {self.growth / self.first:.3g} times the forces it began with"
         return ""
 
     def _report(self) -> None:
@@ -166,6 +189,11 @@ class ConstraintStep:
             "linear_iterations": 0,
             "seconds": self.budget.elapsed(),
         }
+        if self.sweep.has_residual_parts:
+            with self.budget.paused():
+                primary, secondary = self.sweep.residual_parts(self.problem)
+            row["primary_residual"] = self.problem.residual_norm(primary)
+            row["secondary_residual"] = self.problem.residual_norm(secondary)
         self.observe(row, self.x)
 
     def result(self, converged: bool, reason: str, is_fixed_work: bool = False) -> StepResult:
@@ -205,20 +233,16 @@ class PseudoTimeStep(ConstraintStep):
         if np.any(terms.weights > 0.0):
             raise InputError("solver.method: xpbd_qs is for statics (time.scheme: quasistatic)")
         self._begin()
-        self._look_at(self.x)
-        self.first = max(self.norm, problem.force_scale)
+        self._judge()
+        self.first = max(self.growth, problem.force_scale)
         for _ in range(steps):
             spent = self.budget.spent(self.iteration)
             if spent is not None:
                 return self.result(False, spent)
             before = self.x.copy()
-            follower = problem.follower_forces(before)
-            forces = terms.loads if follower is None else terms.loads + follower
-            target = np.where(problem.free, before + dt * dt * forces / problem.lumped_mass[:, None], before)
-            self.sweep.begin(problem, target, dt)
+            self._push(dt)
             self._sweeps(self.iteration + sweeps, reverse)
-            self.sweep.read(self.x)
-            self._look_at(self.x)
+            self._look()
             self._report()
             trouble = self.trouble()
             if trouble:
@@ -228,10 +252,6 @@ class PseudoTimeStep(ConstraintStep):
             if np.abs(self.x - before).max(initial=0.0) <= at_rest * self.size:
                 return self.result(False, "at rest in pseudo-time, as asked for", True)
         return self.result(False, f"not at rest after {steps} pseudo-time steps", True)
-
-    def _look_at(self, x: FloatArray) -> None:
-        self.last = self.norm
-        self.norm = self.problem.residual_norm(self.problem.gradient(x))
 
 
 def time_step_squared(problem: LocalStepProblem) -> float:

@@ -47,7 +47,7 @@ class NodeSweep:
 
     def __init__(self, problem: LocalStepProblem, dtype: Any = np.float64) -> None:
         self.dtype = np.dtype(dtype)
-        self._groups = groups = list(problem.local_cells(knows_links=True, knows_fibres=True))
+        self._groups = groups = list(problem.local_cells(("links", "weak_contact", "fibres")))
         self.n_nodes, self.dim = problem.points.shape
         links: WeakConstraints | None = problem.links
         stiff = np.zeros(self.n_nodes, dtype=bool)

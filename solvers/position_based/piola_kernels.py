@@ -23,18 +23,8 @@ import numpy as np
 
 from femdeform.jit import njit, prange
 from femdeform.materials.dispatch import energy_density, tangent
-from solvers.position_based.cell_algebra import (
-    combine,
-    deformation,
-    dot,
-    load,
-    misfit,
-    mobility,
-    resolvent,
-    spread,
-    store,
-    times,
-)
+from solvers.position_based.cell_algebra import combine, dot, load, resolvent, store, times
+from solvers.position_based.cell_corners import deformation, misfit, mobility, spread
 from solvers.position_based.chunk_numbers import CHUNK, MATRIX, MOBILITY, get_matrix, get_mobility, make_scratch, put
 from solvers.position_based.chunk_rotations import FURTHER, rotate, rotation_of
 from solvers.position_based.constraints import stress, stress_model

@@ -255,7 +255,7 @@ def test_nodes_of_a_row_have_different_colors(stiffness: float) -> None:
             assert (own == sweep.n_colors - 1).all()
         else:
             assert np.unique(own).size == own.size
-    for group in simulation.problem.local_cells(knows_links=True):
+    for group in simulation.problem.local_cells(("links",)):
         own = colors[group.cells]
         own = np.where(own >= sweep.n_colors - (stiffness > 1e5), -1 - np.arange(4), own)
         assert all(np.unique(cell).size == 4 for cell in own)
@@ -297,7 +297,7 @@ def test_methods_that_do_not_know_links_are_refused() -> None:
     problem = build(two_bars("neo_hookean", 2, 100.0)).problem
     with pytest.raises(InputError, match="links: this method does not know them"):
         problem.local_cells()
-    assert len(problem.local_cells(knows_links=True)) == 1
+    assert len(problem.local_cells(("links",))) == 1
 
 
 # ------------------------------------------------------------------------------------- nothing pulls but the links

@@ -13,7 +13,7 @@ from femdeform import jit
 from femdeform.run.setup import Simulation
 from femdeform.step_problem import Budget
 from femdeform.types import FloatArray
-from solvers.position_based.cell_sweep import ConstraintSweep
+from solvers.position_based.constraint_sweeps import ConstraintSweep
 from verification.benchmarks import child_process
 from verification.benchmarks.pbng_case import block
 

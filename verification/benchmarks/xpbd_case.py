@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from femdeform import jit
-from solvers.position_based.cell_sweep import BlendedSweep, CellSweep, ConstraintSweep, PiolaSweep
+from solvers.position_based.cell_sweep import CellSweep
+from solvers.position_based.constraint_sweeps import BlendedSweep, ConstraintSweep
+from solvers.position_based.piola_sweep import PiolaSweep
 from verification.benchmarks import child_process
 from verification.benchmarks.block import DENSITY, YOUNGS_MODULUS
 from verification.benchmarks.measure import measure, peak_memory, time_once
