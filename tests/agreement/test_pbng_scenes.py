@@ -1,4 +1,4 @@
-"""The scenes of the PBNG paper and their comparisons: each meets what it expects, small ones against projected Newton."""
+"""The scenes of the PBNG paper: each meets what it expects, small ones against projected Newton."""
 
 from __future__ import annotations
 
