@@ -46,12 +46,14 @@ def _filled(entry: Any, pages: dict[str, str]) -> Any:
 def generated_pages() -> dict[str, str]:
     """Markdown of every generated page by its path below docs/."""
     from femdeform.scene.batch_schema import Study
+    from femdeform.scene.comparison_schema import ComparisonFile
     from femdeform.scene.reference import scene_pages, schema_markdown
     from verification.study_schema import StudyFile
 
     return {
         **{f"reference/scene/{name}.md": text for name, text in scene_pages().items()},
         "reference/batch.md": schema_markdown(Study, "The keys of a batch"),
+        "reference/comparison.md": schema_markdown(ComparisonFile, "The keys of a comparison"),
         "reference/study.md": schema_markdown(StudyFile, "The keys of a study"),
         "reference/commands.md": commands_page(),
         "reference/presets.md": presets_page(),

@@ -220,7 +220,7 @@ def build_parser() -> argparse.ArgumentParser:
     report.add_argument("--plots", action="store_true", help="also write plots/*.png into the result folder")
 
     compare = add("compare", _compare, "compare methods or options on one scene at equal budget", _COMPARE_EPILOG)
-    compare.add_argument("scene", type=Path, metavar="SCENE", help="scene file (YAML)")
+    compare.add_argument("scene", type=Path, metavar="FILE", help="scene file or comparison file (YAML)")
     compare.add_argument("--methods", metavar="A,B,C", help="methods to compare, with the scene's options or defaults")
     compare.add_argument(
         "--variant",
@@ -230,25 +230,23 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="'LABEL: KEY=VALUE ...'",
         help="options of solver or linear_solver to compare; may be given several times",
     )
-    budget = compare.add_mutually_exclusive_group(required=True)
+    budget = compare.add_mutually_exclusive_group()
     budget.add_argument("--iterations", type=_positive, metavar="N", help="budget of a step in iterations")
     budget.add_argument("--seconds", type=float, metavar="S", help="budget of a step in seconds")
-    compare.add_argument("--steps", type=_positive, default=1, metavar="M", help="steps to compare (default: 1)")
+    compare.add_argument("--steps", type=_positive, metavar="M", help="steps to compare (default: 1)")
     compare.add_argument(
         "--start-step",
         type=int,
-        default=0,
         metavar="K",
         help="start from step K of the converged reference (default: 0, the initial state)",
     )
     compare.add_argument(
         "--repeat",
         type=_positive,
-        default=1,
         metavar="R",
         help="run each R times and report the run of median length (default: 1)",
     )
-    compare.add_argument("--out", type=Path, metavar="DIR", help="folder (default: results/compare-<scene's name>)")
+    compare.add_argument("--out", type=Path, metavar="DIR", help="folder (default: results/compare-<file's name>)")
     _add_set(compare)
     compare.add_argument("--threads", type=_positive, metavar="N", help="threads of the kernels (default: cores)")
     compare.add_argument("--quiet", action="store_true", help="no progress and no notices")
@@ -425,29 +423,26 @@ def _report(arguments: argparse.Namespace) -> int:
 
 _COMPARE_EPILOG = """\
 Every variant gets the same start and the same budget for each step. One residual judges them all, and the
-distance to a converged reference. Needs one process, no mpiexec.
+distance to a converged reference. Needs one process, no mpiexec. A comparison file says all of it at once; what is
+given beside it goes before.
 
 examples:
   femdeform compare scene.yaml --methods projected_newton --variant "exact: solver.hessian=exact" --iterations 10
   femdeform compare scene.yaml --variant "lu: linear_solver.preset=newton-mumps" \\
       --variant "amg: linear_solver.preset=newton-gamg" --seconds 0.5 --steps 5 --repeat 3
+  femdeform compare comparison.yaml
 """
 
 
 def _compare(arguments: argparse.Namespace) -> int:
     from femdeform.post.compare_command import compare_command
-    from femdeform.run.compare import Plan
 
     return compare_command(
         arguments.scene,
-        Plan(
-            iterations=arguments.iterations,
-            seconds=arguments.seconds,
-            steps=arguments.steps,
-            start_step=arguments.start_step,
-            repeat=arguments.repeat,
-            threads=arguments.threads,
-        ),
+        {
+            name: getattr(arguments, name)
+            for name in ("iterations", "seconds", "steps", "start_step", "repeat", "threads")
+        },
         methods=arguments.methods,
         option_sets=arguments.variants,
         overrides=arguments.overrides,

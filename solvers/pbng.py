@@ -265,8 +265,8 @@ class _Step:
         return residual
 
     def _value(self) -> float:
-        """Phi, where somebody needs it."""
-        return self.problem.value(self.x) if self.accelerator is not None or self.observe is not None else math.nan
+        """Phi, where the safeguard of an acceleration needs it."""
+        return self.problem.value(self.x) if self.accelerator is not None else math.nan
 
     def _start(self) -> str:
         """Set the first positions; why there are none, or empty."""
@@ -308,6 +308,9 @@ class _Step:
     def _report(self, value: float, accelerated: bool, is_newton: bool = False, linear_iterations: int = 0) -> None:
         if self.observe is None:
             return
+        if self.accelerator is None:
+            with self.budget.paused():  # nobody but the observer needs it
+                value = self.problem.value(self.x)
         row: dict[str, float | int | str] = {
             "iteration": self.iteration,
             "residual_norm": self.norm,

@@ -79,6 +79,12 @@ class ElasticEnergy:
         for f in g.fibres:
             fibre_kernels.add_hessians(x, g.cells, g.weights, f.rows, f.weights, f.muscle.law, project, blocks, first)
 
+    def add_stiffness(self, nodes: FloatArray) -> None:
+        """Add to nodes (n_nodes,) the size of its rows of the tangent at rest, V (2 mu + lambda) |grad N|^2 [N/m]."""
+        g = self.group
+        squares = np.einsum("cq,cqna,cqna->cn", g.weights, g.gradients, g.gradients)
+        nodes += (2.0 * g.law.mu + g.law.lmbda) * np.bincount(g.cells.ravel(), squares.ravel(), nodes.size)
+
 
 # Quadrature on the reference facet: points and weights that integrate the pressure of quadratic facets exactly
 # (degree 4 on triangles, 3 on edges). Triangle rule: Strang and Fix, degree 4, six points.

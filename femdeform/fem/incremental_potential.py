@@ -29,8 +29,6 @@ from femdeform.types import FloatArray
 
 # A state whose forces are below this multiple of what rounding may leave is at rest.
 _REST = 100.0
-# The same as a part of the forces of the first iterate, where no Hessian has told what rounding may leave.
-_TINY = 1e-10
 
 
 @dataclass
@@ -137,6 +135,7 @@ class IncrementalPotential:
         self._values: FloatArray | None = None
         self._part_values: FloatArray | None = None
         self._rows: FloatArray | None = None
+        self._elastic_rows: FloatArray | None = None
         self._diagonal: FloatArray | None = None
         mass = discretization.consistent_mass
         self._mass = None if quasistatic else mass
@@ -547,26 +546,36 @@ class IncrementalPotential:
     def settle_force_scale(self, x: FloatArray) -> None:
         """Take the forces at the first iterate, reactions included, as R0 if the last state has none but rounding."""
         rounding = self.roundoff_norm(x)
-        # Before the first Hessian nothing tells what rounding is: in statics the forces that there are now do.
-        if self.force_scale > _REST * rounding and (rounding > 0.0 or not self.quasistatic):
-            return
-        pushed = np.zeros_like(x)
-        if self.weak_contact is not None:
-            self.weak_contact.add_gradient(x, pushed)
-        size = self.partition.norm(self.full_gradient(x) - pushed)
-        if rounding > 0.0 or self.force_scale <= _TINY * size:
-            self.force_scale = size
+        if rounding == 0.0:
+            # Sweeps over nodes or cells never ask for a Hessian.
+            rounding = self._rounding_of(self._stiffness_of_rows(), x)
+        if self.force_scale <= _REST * rounding:
+            pushed = np.zeros_like(x)
+            if self.weak_contact is not None:
+                self.weak_contact.add_gradient(x, pushed)
+            self.force_scale = self.partition.norm(self.full_gradient(x) - pushed)
 
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone can leave at `x` [N]: no solver can be asked for less."""
-        n = self.partition.n_owned
-        size = float(np.abs(x[:n]).max(initial=0.0))
-        # |K| |x| eps, with the magnitude of K from the diagonal of the last Hessian.
+        # The magnitude of K from the diagonal of the last Hessian.
         rows = self._rows if self._values is None else self._row_scale(self._values)
-        if rows is None:
-            return 0.0
+        return 0.0 if rows is None else self._rounding_of(rows, x)
+
+    def _rounding_of(self, rows: FloatArray, x: FloatArray) -> float:
+        """|K| |x| eps [N], from the magnitude of every owned row of K [N/m]."""
+        size = float(np.abs(x[: self.partition.n_owned]).max(initial=0.0))
         local = float(np.sum((rows * size) ** 2))
         return 4.0 * np.finfo(float).eps * float(np.sqrt(self.partition.sum(local)))
+
+    def _stiffness_of_rows(self) -> FloatArray:
+        """Magnitude of the rows of the elastic Hessian at rest [N/m], from moduli and the gradients of the cells."""
+        if self._elastic_rows is None:
+            nodes = np.zeros((self.discretization.n_nodes, 1))
+            for term in self.elastic:
+                term.add_stiffness(nodes[:, 0])
+            self.partition.accumulate(nodes)
+            self._elastic_rows = np.repeat(nodes[: self.partition.n_owned, 0], self.dim)
+        return self._elastic_rows
 
     def _row_scale(self, values: FloatArray) -> FloatArray:
         starts = self.pattern.dof_row_offsets[:-1].astype(np.int64)

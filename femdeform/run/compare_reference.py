@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from femdeform import registry
 from femdeform.errors import NotConvergedError
 from femdeform.fem.incremental_potential import State
 from femdeform.run.compare_judge import Judge
@@ -138,7 +139,9 @@ def _reference_scene(scene: schema.DeformableScene) -> schema.DeformableScene:
         }
     )
     linear = scene.linear_solver
-    if not isinstance(linear, schema.SciPyDirectLinearSolver):
+    named = "linear_solver" in scene.model_fields_set
+    if not named or (isinstance(linear, schema.KSPLinearSolver) and registry.saddle_preset(linear.preset)):
+        # Large meshes need another one, which their scene names: the residual tells whether it was good enough.
         linear = schema.KSPLinearSolver(preset="newton-mumps")
     return scene.model_copy(update={"solver": solver, "linear_solver": linear})
 

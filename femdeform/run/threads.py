@@ -30,6 +30,4 @@ def use_threads(threads: int | None, n_cells: int) -> int:
     used = set_threads(threads)
     # PETSc's BLAS is loaded later and would take all cores on every rank.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", str(used))
-    # Its threads wait busily, 2^26 cycles by default, and keep the kernels from the cores; 2^18 are 0.1 ms.
-    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "18")
     return used

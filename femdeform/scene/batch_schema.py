@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -40,7 +40,8 @@ def _check_key(text: str) -> str:
     return text
 
 
-def _check_mapping(value: Any) -> Any:
+def check_mapping(value: Any) -> Any:
+    """Refuse what is no mapping, before pydantic says it in other words."""
     if not isinstance(value, dict):
         raise ValueError(f"must be a mapping (`key: value`), not {shown(value)}")
     return value
@@ -49,9 +50,10 @@ def _check_mapping(value: Any) -> Any:
 Key = Annotated[str, AfterValidator(_check_key)]
 Values = Annotated[list[Any], Field(min_length=1)]
 # Named here, because the block below has keys called `list`, `set` and `zip`.
-_Row = Annotated[dict[Key, Any], BeforeValidator(_check_mapping), Field(min_length=1)]
+_Row = Annotated[dict[Key, Any], BeforeValidator(check_mapping), Field(min_length=1)]
 _Rows = Annotated[list[_Row], Field(min_length=1)]
 _Columns = Annotated[dict[Key, Values], Field(min_length=1)]
+_Model = TypeVar("_Model", bound=SceneModel)
 _Names = Annotated[list[str], Field(min_length=1)]
 
 
@@ -167,19 +169,40 @@ def load_study(path: Path) -> LoadedStudy:
     InputError
         With every fault of the text and of the schema, sorted by line.
     """
-    document = read_document(path, "study")
-    file = str(path)
-    source = Source(file, document.lines)
-    faults = [Fault(file, found.line, format_key(found.path), found.message) for found in document.faults]
-    if document.readable:
-        faults += schema_faults(Study, document, document.data, source)
-    if faults:
-        raise InputError(sort_faults(faults))
-    loaded = LoadedStudy(Study.model_validate(document.data), path, source)
+    study, source = read_checked(Study, path, "study")
+    loaded = LoadedStudy(study, path, source)
     faults = [loaded.fault(found.path, found.message) for found in _study_findings(loaded)]
     if faults:
         raise InputError(sort_faults(faults))
     return loaded
+
+
+def read_checked(model: type[_Model], path: Path, kind: str) -> tuple[_Model, Source]:
+    """Read a file of one model.
+
+    Parameters
+    ----------
+    model : type
+        What it has to be.
+    path : Path
+        The YAML file.
+    kind : str
+        What it is a file of, for messages.
+
+    Raises
+    ------
+    InputError
+        With every fault of the text and of the schema, sorted by line.
+    """
+    document = read_document(path, kind)
+    file = str(path)
+    source = Source(file, document.lines)
+    faults = [Fault(file, found.line, format_key(found.path), found.message) for found in document.faults]
+    if document.readable:
+        faults += schema_faults(model, document, document.data, source)
+    if faults:
+        raise InputError(sort_faults(faults))
+    return model.model_validate(document.data), source
 
 
 def varied_keys(sweep: Sweep) -> dict[str, KeyPath]:
@@ -202,7 +225,7 @@ def _places(sweep: Sweep) -> Iterator[tuple[str, KeyPath]]:
 
 def _study_findings(loaded: LoadedStudy) -> Iterator[Finding]:
     study = loaded.study
-    yield from _scene_file_findings(loaded)
+    yield from scene_file_findings(loaded.scene_path, study.scene)
     yield from _repeated_keys(loaded)
     lengths = {key: len(values) for key, values in (study.sweep.zip or {}).items()}
     first = next(iter(lengths), "")
@@ -227,8 +250,8 @@ def count_runs(sweep: Sweep) -> int:
     return count
 
 
-def _scene_file_findings(loaded: LoadedStudy) -> Iterator[Finding]:
-    path = loaded.scene_path
+def scene_file_findings(path: Path, written: str) -> Iterator[Finding]:
+    """What is wrong with the scene file that a study names under `scene`, as it is `written` there."""
     try:
         if path.is_file():
             return
@@ -237,10 +260,10 @@ def _scene_file_findings(loaded: LoadedStudy) -> Iterator[Finding]:
         yield Finding(("scene",), f"cannot be read: {getattr(error, 'strerror', None) or error}")
         return
     if path.is_dir():
-        yield Finding(("scene",), f"{loaded.study.scene} is a folder, not a scene file")
+        yield Finding(("scene",), f"{written} is a folder, not a scene file")
         return
     hint = did_you_mean(path.name, beside)
-    message = f"there is no file {loaded.study.scene} (relative to the study file)"
+    message = f"there is no file {written} (relative to the study file)"
     yield Finding(("scene",), message + (f"; {hint}" if hint.startswith("did") else ""))
 
 

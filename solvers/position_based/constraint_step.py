@@ -181,11 +181,13 @@ class ConstraintStep:
     def _report(self) -> None:
         if self.observe is None:
             return
+        with self.budget.paused():  # the method itself never asks for it
+            objective = self.problem.value(self.x)
         row: dict[str, float | int | str] = {
             "iteration": self.iteration,
             "residual_norm": self.norm,
             "relative_residual": ratio(self.norm, self.problem.force_scale),
-            "objective": self.problem.value(self.x),
+            "objective": objective,
             "linear_iterations": 0,
             "seconds": self.budget.elapsed(),
         }

@@ -1,4 +1,4 @@
-"""Every scene of the gallery runs and meets its own `expect:` block."""
+"""Every scene of the gallery runs and meets its own `expect:` block; every study of scenes/studies can be read."""
 
 from __future__ import annotations
 
@@ -9,17 +9,54 @@ from pathlib import Path
 
 import pytest
 
+from femdeform.run.batch_plan import plan_runs
+from femdeform.run.batch_scenes import check_runs
+from femdeform.run.compare_variants import Variant, prepare
+from femdeform.scene.batch_schema import load_study
+from femdeform.scene.comparison_schema import is_comparison, load_comparison
+from femdeform.scene.load import load_scene
+
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
+# Folders whose scenes have a module of their own, here and there; the scenes of all others are run below.
+ELSEWHERE = {"mixed": "test_mixed_scenes.py", "pbng": "test_pbng_scenes.py"}
+STUDIES = sorted(SCENES.glob("studies/*.yaml"))
+NAMES = sorted(
+    str(path.relative_to(SCENES).with_suffix(""))
+    for path in SCENES.rglob("*.yaml")
+    if path.relative_to(SCENES).parts[0] not in {*ELSEWHERE, "studies"}
+)
 # The demo takes a minute on its own: its first steps show that it runs, `make demo` shows the rest.
 SHORTENED = {"rubber-mount": ["--set", "time.dt=0.1", "--set", "time.end=0.2", "--set", "expect={}"]}
 
 
 def test_the_gallery_is_there() -> None:
-    assert len(list(SCENES.glob("*.yaml"))) >= 5
+    assert len(NAMES) >= 9
+    for folder, module in ELSEWHERE.items():
+        assert list((SCENES / folder).glob("*.yaml"))
+        assert f'"scenes" / "{folder}"' in (Path(__file__).parent / module).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
+def test_a_study_has_no_faults(path: Path) -> None:
+    """Batches and comparisons: the file, the scene with all its values, every variant."""
+    if not is_comparison(path):
+        check_runs(plan := plan_runs(load_study(path), _silent), plan.runs, _silent)
+        return
+    loaded = load_comparison(path)
+    scene = load_scene(loaded.scene_path).scene
+    # Large meshes say no more about the variants than small ones.
+    small = [f"bodies.{name}.mesh.cells={[2] * len(body.mesh.cells)}" for name, body in scene.bodies.items()]
+    variants = [Variant(label, options) for label, options in loaded.variants()]
+    prepared = prepare(loaded.scene_path, variants, [*loaded.overrides, *small])
+    assert set(prepared.scenes) == set(loaded.file.variants)
+
+
+def _silent(done: int, total: int) -> None:
+    """No progress."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(path.stem for path in SCENES.glob("*.yaml")))
+@pytest.mark.parametrize("name", NAMES)
 def test_scene(name: str, cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
     out = tmp_path / "result"
     finished = cli("run", SCENES / f"{name}.yaml", "--out", out, *SHORTENED.get(name, []))

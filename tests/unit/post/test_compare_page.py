@@ -19,7 +19,6 @@ from femdeform.errors import MissingDependencyError
 from femdeform.post import compare_pictures
 from femdeform.post.compare_command import compare_command
 from femdeform.post.compare_page import drawn_files
-from femdeform.run.compare import Plan
 
 OPTION_SETS = ["exact: solver.hessian=exact", "<b>rough</b>: solver.hessian=projected"]
 
@@ -59,7 +58,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two variants over three steps, drawn."""
     base = tmp_path_factory.mktemp("compare")
     path = write_bar(base, title="A bar & more")
-    plan = Plan(iterations=2, steps=3)
+    plan = {"iterations": 2, "steps": 3}
     assert compare_command(path, plan, option_sets=OPTION_SETS, out=base / "out", quiet=True) == 0
     return base / "out"
 
@@ -113,7 +112,7 @@ def test_pictures_show_who_is_off(folder: Path, tmp_path: Path, monkeypatch: pyt
         return compose(comparison, pictures, *rest)
 
     monkeypatch.setattr(compare_pictures, "_compose", keep)
-    plan = Plan(iterations=1)
+    plan = {"iterations": 1}
     command = ["good: solver.tolerance=1e-9", "off: solver.hessian=projected"]
     path = write_bar(tmp_path, time={"scheme": "backward_euler", "dt": 0.05, "end": 0.5})
     assert compare_command(path, plan, option_sets=command, out=tmp_path / "o", quiet=True) == 0
