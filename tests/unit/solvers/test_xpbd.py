@@ -378,8 +378,7 @@ def test_angular_momentum_over_a_thousand_steps(method: str) -> None:
     )
     X = simulation.discretization.points
     arm = X - X.mean(axis=0)
-    simulation.state.v[:] = np.cross([1.0, 2.0, 3.0], arm)
-    simulation.state.v[:] += [1.0, 0.5, 0.0]
+    simulation.state.v[:] = np.cross([1.0, 2.0, 3.0], arm) + np.array([1.0, 0.5, 0.0])
     simulation.state.v[:, 0] += arm[:, 0]
     mass = simulation.discretization.lumped_mass[:, None] / simulation.discretization.lumped_mass.sum()
 
