@@ -107,12 +107,12 @@ def test_equal_budgets(problem: str, others: list[str]) -> None:
     assert [row["name"] for row in rows] == ["PBNG, 6 sweeps", "Newton, 7 CG each", *others]
     assert found["notes"] == []
     assert rows[0]["iterations"] == 6
-    # The budgets are so small that some methods may not begin; sweeps over the nodes lose energy, PBD gains it.
+    # The budgets are so small that some methods may not begin.
     assert 0.0 < rows[0]["energy"] < 1.0
     assert all(row["residual"] > 1e-9 for row in rows)
     if problem == "twist":
         assert rows[2]["iterations"] >= 1
-        assert rows[2]["energy"] > 2.0
+        assert rows[2]["residual"] > 5.0 * rows[0]["residual"]
 
 
 def test_only_the_cases_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
