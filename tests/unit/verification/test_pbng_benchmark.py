@@ -107,12 +107,11 @@ def test_equal_budgets(problem: str, others: list[str]) -> None:
     assert [row["name"] for row in rows] == ["PBNG, 6 sweeps", "Newton, 7 CG each", *others]
     assert found["notes"] == []
     assert rows[0]["iterations"] == 6
-    # The budgets are so small that some methods may not begin; sweeps over the nodes lose energy, PBD gains it.
+    # The budgets are so small that some methods may not begin.
     assert 0.0 < rows[0]["energy"] < 1.0
-    assert all(row["residual"] > 1e-9 for row in rows)
     if problem == "twist":
         assert rows[2]["iterations"] >= 1
-        assert rows[2]["energy"] > 2.0
+        assert rows[2]["residual"] > 5.0 * rows[0]["residual"]
 
 
 def test_only_the_cases_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,17 +157,19 @@ def test_peer_without_its_packages_is_skipped(tmp_path: Path) -> None:
 def test_the_whole_benchmark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(environment.CELLS_VARIABLE, "2")
     monkeypatch.setenv("FEMDEFORM_PEERS", str(tmp_path / "none"))
+    few = "bandwidth;sweeps;growth;equal budgets;comparison;plain;relaxation;chebyshev;anderson;hypre 1e-3"
+    monkeypatch.setenv(environment.ONLY_VARIABLE, few)
     assert cli.main(["bench", "pbng", "--out", str(tmp_path / "out")]) == 0
     data = json.loads((tmp_path / "out" / "bench.json").read_text())["benchmarks"]["pbng"]
     assert {row["status"] for row in data["sweeps"]} == {"done"}
     assert [(row["law"], row["cells"]) for row in data["growth"]] == [(law, n) for law in pbng.LAWS for n in (2, 4)]
     for outcomes in data["convergence"].values():
         done = [outcome for outcome in outcomes.values() if outcome["status"] == "done"]
-        assert len(done) >= 9
+        assert len(done) >= 5
         assert all(outcome["converged"] for outcome in done)
     assert data["peer"]["status"] == "skipped"
     page = (tmp_path / "out" / "bench.md").read_text()
     for title in ("A plain sweep", "Growth with the mesh", "Equal budgets", "An iteration beside"):
         assert f"### {title}" in page
-    assert "### Aims" in page  # empty: they are those of a larger block
+    assert "### Aims" not in page  # they are those of a larger block
     assert "no Python at" in page
