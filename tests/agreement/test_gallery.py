@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from femdeform.run.batch_plan import plan_runs
-from femdeform.run.batch_scenes import check_runs
+from femdeform.run.batch_scenes import check_runs, plan_runs
 from femdeform.run.compare_variants import Variant, prepare
 from femdeform.scene.batch_schema import load_study
 from femdeform.scene.comparison_schema import is_comparison, load_comparison

@@ -193,3 +193,21 @@ def test_pressure_that_follows_the_surface() -> None:
         time=quasistatic(),
     )
     compare(data, moved=0.05, atol=1e-7)
+
+
+def test_the_forces_of_a_step_from_rest_are_not_rounding() -> None:
+    """R0 of a body at rest whose support moves: forces of the first iterate, though a sweep never makes a Hessian."""
+    data = scene(
+        {"b": body(block([1.0, 1.0, 1.0], [3, 3, 3]), material("fixed_corotated"))},
+        {"kind": "fixed", "on": "b.left"},
+        {"kind": "translate", "on": "b.right", "velocity": [0.1, 0.0, 0.0]},
+        time={"scheme": "quasistatic", "dt": 1.0},
+        solver={"method": "pbng"},
+    )
+    simulation = build(data)
+    problem = simulation.problem
+    problem.begin_step(simulation.state, 1.0)
+    assert problem.force_scale < 1e-6, "nothing but rounding at rest"
+    assert simulation.solver.step(problem, simulation.state).converged
+    first = problem.full_gradient(problem.initial_guess(simulation.state))
+    assert problem.force_scale == pytest.approx(np.linalg.norm(first), rel=1e-9)

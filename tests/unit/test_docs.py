@@ -23,6 +23,7 @@ from femdeform.cli import build_parser
 from femdeform.materials import dispatch, lame_parameters
 from femdeform.run.setup import Simulation
 from femdeform.scene import batch_schema, mesh_schema, schema
+from femdeform.scene.comparison_schema import ComparisonFile
 from femdeform.scene.validation import find_faults
 from femdeform.step_problem import Budget, StepResult
 from verification.study_schema import StudyFile
@@ -83,6 +84,8 @@ def test_yaml_passes_its_schema(fence: Fence) -> None:
         return  # entries of a list: that they are YAML is all that can be said
     if "studies" in data:
         model, whole = StudyFile, data
+    elif "variants" in data:
+        model, whole = ComparisonFile, data
     elif "sweep" in data or "scalars" in data:
         model, whole = batch_schema.Study, {"scene": "scene.yaml", "sweep": {"grid": {"time.dt": [0.1]}}, **data}
     elif set(data) <= set(schema.DeformableScene.model_fields):

@@ -196,7 +196,7 @@ def test_the_default_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     [
         (["--methods", "newton", "--iterations", "1"], "--methods: there is no method `newton`"),
         (["--iterations", "1"], "there is nothing to compare: give --methods or --variant"),
-        (["--methods", "projected_newton"], "one of the arguments --iterations --seconds is required"),
+        (["--methods", "projected_newton"], "give a budget of either iterations or seconds"),
         (["--methods", "projected_newton", "--iterations", "1", "--seconds", "1"], "not allowed with argument"),
         (["--methods", "projected_newton", "--iterations", "0"], "must be a positive whole number, not 0"),
         (["--methods", "projected_newton", "--seconds", "-1"], "the budget of seconds must be positive, not -1"),
