@@ -61,9 +61,11 @@ def incidence(parts: list[np.ndarray[Any, Any]], n_items: int) -> Incidence:
     """
     starts = [np.zeros(1, dtype=np.int64)]
     items: list[np.ndarray[Any, Any]] = [np.empty(0, dtype=np.int64)]
+    total = 0
     for part in parts:
-        starts.append(starts[-1][-1] + part.shape[1] * np.arange(1, len(part) + 1, dtype=np.int64))
+        starts.append(total + part.shape[1] * np.arange(1, len(part) + 1, dtype=np.int64))
         items.append(part.ravel())
+        total += part.size
     set_offsets, set_items = np.concatenate(starts), np.concatenate(items).astype(np.int64, copy=False)
     entries, item_offsets = sort_by_number(set_items, n_items)
     item_sets = np.repeat(np.arange(set_offsets.size - 1), np.diff(set_offsets))[entries]
