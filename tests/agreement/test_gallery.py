@@ -1,4 +1,4 @@
-"""Every scene of the gallery runs and meets its own `expect:` block; every study of scenes/studies can be read."""
+"""Every scene of the gallery runs and meets its own `expect:` block; every comparison of scenes/studies can be made."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from femdeform.run.batch_scenes import check_runs, plan_runs
 from femdeform.run.compare_variants import Variant, prepare
-from femdeform.scene.batch_schema import load_study
 from femdeform.scene.comparison_schema import is_comparison, load_comparison
 from femdeform.scene.load import load_scene
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 # Folders whose scenes have a module of their own, here and there; the scenes of all others are run below.
 ELSEWHERE = {"mixed": "test_mixed_scenes.py", "pbng": "test_pbng_scenes.py"}
-STUDIES = sorted(SCENES.glob("studies/*.yaml"))
+# Batches are checked with the plans of runs.
+COMPARISONS = [path for path in sorted(SCENES.glob("studies/*.yaml")) if is_comparison(path)]
 NAMES = sorted(
     str(path.relative_to(SCENES).with_suffix(""))
     for path in SCENES.rglob("*.yaml")
@@ -35,12 +34,9 @@ def test_the_gallery_is_there() -> None:
         assert f'"scenes" / "{folder}"' in (Path(__file__).parent / module).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
-def test_a_study_has_no_faults(path: Path) -> None:
-    """Batches and comparisons: the file, the scene with all its values, every variant."""
-    if not is_comparison(path):
-        check_runs(plan := plan_runs(load_study(path), _silent), plan.runs, _silent)
-        return
+@pytest.mark.parametrize("path", COMPARISONS, ids=lambda path: path.stem)
+def test_a_comparison_has_no_faults(path: Path) -> None:
+    """The file, the scene with all its values, every variant."""
     loaded = load_comparison(path)
     scene = load_scene(loaded.scene_path).scene
     # Large meshes say no more about the variants than small ones.
@@ -48,10 +44,6 @@ def test_a_study_has_no_faults(path: Path) -> None:
     variants = [Variant(label, options) for label, options in loaded.variants()]
     prepared = prepare(loaded.scene_path, variants, [*loaded.overrides, *small])
     assert set(prepared.scenes) == set(loaded.file.variants)
-
-
-def _silent(done: int, total: int) -> None:
-    """No progress."""
 
 
 @pytest.mark.slow

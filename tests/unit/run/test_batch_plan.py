@@ -16,6 +16,7 @@ from femdeform.errors import InputError
 from femdeform.run.batch_plan import Choice, Plan, expand, in_range, latin_hypercube, short_keys
 from femdeform.run.batch_scenes import check_runs, plan_runs
 from femdeform.scene.batch_schema import Range, Study, count_runs, load_study, varied_keys
+from femdeform.scene.comparison_schema import is_comparison
 from femdeform.scene.overrides import parse_override
 
 SWEEP: dict[str, Any] = {
@@ -308,7 +309,11 @@ def test_a_scene_with_faults_of_its_own_is_reported_once(tmp_path: Path) -> None
     assert "in run" not in found[0]
 
 
-STUDIES = sorted((Path(__file__).parents[3] / "scenes" / "studies").glob("*.yaml"))
+STUDIES = [
+    path
+    for path in sorted((Path(__file__).parents[3] / "scenes" / "studies").glob("*.yaml"))
+    if not is_comparison(path)
+]
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
