@@ -99,6 +99,24 @@ class StepProblem(Protocol):
     has_barriers: bool  # whether there is contact that nothing may penetrate: `max_step` then bounds steps
     obstacles_push: bool  # whether obstacles move that nothing may penetrate
 
+    def solver_state(self, state: Any) -> Any:
+        """The state from which a step begins in terms of the unknowns, with the step begun: solvers take this one."""
+
+    def node_positions(self, x: FloatArray) -> FloatArray:
+        """Positions of the nodes of the bodies [m] for unknowns x."""
+
+    def unknowns_near(self, positions: FloatArray) -> FloatArray:
+        """Unknowns for which the nodes of the bodies are at positions [m], as far as there are such."""
+
+    def step_limit(self, state: Any) -> float:
+        """Longest step that may be taken from a state of the bodies [s]."""
+
+    def refusal(self, x: FloatArray) -> str:
+        """Why a solved step may not be accepted although its equations are solved, or empty."""
+
+    def spin(self, state: Any) -> FloatArray | None:
+        """Angular momentum of each node about itself (n_local, 3) [kg m^2/s], where nodes have any."""
+
     def initial_guess(self, state: Any) -> FloatArray:
         """Positions of the last state with the prescribed values of this step."""
 

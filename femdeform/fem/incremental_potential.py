@@ -17,7 +17,7 @@ from femdeform.contact.terms import CouplingContact, NodeBlocks, NodeContact
 from femdeform.contact.weak_constraints import WeakConstraints
 from femdeform.errors import InputError
 from femdeform.fem import kernels
-from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
+from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian, roundoff, row_sizes
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import Discretization
 from femdeform.fem.energies import CellTerm, ElasticEnergy, FollowerPressure
@@ -41,16 +41,20 @@ class State:
         Time [s].
     step : int
         Number of accepted steps.
+    affine : (n_local, dim, dim) float64, optional
+        Gradients of the velocity that the nodes of grid-embedded bodies carry [1/s].
     """
 
     x: FloatArray
     v: FloatArray
     time: float = 0.0
     step: int = 0
+    affine: FloatArray | None = None
 
     def copy(self) -> State:
         """Return an independent copy."""
-        return State(self.x.copy(), self.v.copy(), self.time, self.step)
+        affine = None if self.affine is None else self.affine.copy()
+        return State(self.x.copy(), self.v.copy(), self.time, self.step, affine)
 
 
 class IncrementalPotential:
@@ -160,6 +164,30 @@ class IncrementalPotential:
         inertia = 0.0 if self.quasistatic else self.partition.norm(self.apply_mass(state.x - self._x_hat)) / dt**2
         internal = self.partition.norm(self.internal_forces(state.x, links=False))
         self.force_scale = inertia + internal + self.partition.norm(self.load)
+
+    def solver_state(self, state: State) -> State:
+        """See `StepProblem`: the unknowns are the positions of the nodes."""
+        return state
+
+    def node_positions(self, x: FloatArray) -> FloatArray:
+        """See `StepProblem`: the unknowns themselves."""
+        return x
+
+    def unknowns_near(self, positions: FloatArray) -> FloatArray:
+        """See `StepProblem`: the positions themselves."""
+        return positions
+
+    def step_limit(self, state: State) -> float:
+        """See `StepProblem`: no limit."""
+        return np.inf
+
+    def refusal(self, x: FloatArray) -> str:
+        """See `StepProblem`: whatever solves the equations will do."""
+        return ""
+
+    def spin(self, state: State) -> FloatArray | None:
+        """See `StepProblem`: nodes are points."""
+        return None
 
     def set_loads(self, time: float) -> None:
         """Evaluate gravity, dead loads and pressures at a time."""
@@ -481,17 +509,12 @@ class IncrementalPotential:
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone can leave at `x` [N]: no solver can be asked for less."""
         n = self.partition.n_owned
-        size = float(np.abs(x[:n]).max(initial=0.0))
-        # |K| |x| eps, with the magnitude of K from the diagonal of the last Hessian.
+        # |K| |x| eps, with the magnitude of K from the rows of the last Hessian.
         rows = self._rows if self._values is None else self._row_scale(self._values)
-        if rows is None:
-            return 0.0
-        local = float(np.sum((rows * size) ** 2))
-        return 4.0 * np.finfo(float).eps * float(np.sqrt(self.partition.sum(local)))
+        return 0.0 if rows is None else float(np.sqrt(self.partition.sum(roundoff(rows, x[:n]))))
 
     def _row_scale(self, values: FloatArray) -> FloatArray:
-        starts = self.pattern.dof_row_offsets[:-1].astype(np.int64)
-        return np.asarray(np.maximum.reduceat(np.abs(values), starts))[: self.partition.n_owned * self.dim]
+        return row_sizes(values, self.pattern.dof_row_offsets)[: self.partition.n_owned * self.dim]
 
     def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
         """Largest part in [0, 1] of a step that contact leaves free; laws set no bound.

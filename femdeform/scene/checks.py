@@ -13,6 +13,7 @@ from femdeform.scene import schema
 from femdeform.scene.constraint_schema import CELL_SWEEPS, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_checks import contact_findings
 from femdeform.scene.contact_schema import IPCMethod
+from femdeform.scene.grid_checks import grid_findings
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.link_checks import link_findings
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
@@ -55,6 +56,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
         *contact_findings(loaded.scene, meshes, frozenset(coarse)),
         *link_findings(loaded.scene, meshes, frozenset(coarse)),
+        *grid_findings(loaded.scene),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
     ]
