@@ -109,13 +109,13 @@ def _reason(error: ImportError, name: str) -> str:
 
 def _threads() -> list[tuple[str, str]]:
     from femdeform import jit
+    from femdeform.kernel_cache import cache_folder
 
     rows = [
         ("cores", str(jit.n_available_cores())),
         ("threads a rank", f"{jit.default_threads()} (cores divided by ranks on this machine)"),
     ]
-    folder = os.environ.get("NUMBA_CACHE_DIR") or str(jit._cache_folder())
-    return [*rows, ("kernel cache", folder)]
+    return [*rows, ("kernel cache", str(cache_folder()))]
 
 
 def _optional_parts() -> list[tuple[str, str]]:

@@ -1,19 +1,13 @@
-"""Compiled kernels: the project's `njit`, where the compiled code is kept, how many threads it uses.
+"""Compiled kernels: the project's `njit`, how many threads it uses, and how long compilation took.
 
 Importing this module does not import numba. A kernel module does ``from femdeform.jit import njit, prange``;
-that first use imports numba, after the cache folder and the number of threads were put into the environment,
-where numba reads them once.
-
-numba keeps compiled code per source file and does not notice when a function in *another* file, compiled into
-a driver, has changed. The cache folder is therefore named after the contents of all kernel modules of the
-project: whoever edits one of them starts a new folder.
+that first use imports numba, after the number of threads was put into the environment, where numba reads it once.
+`femdeform.kernel_cache` keeps what was compiled.
 """
 
 from __future__ import annotations
 
 import os
-import re
-import stat
 import sys
 import threading
 import time
@@ -24,12 +18,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
+from femdeform.kernel_cache import abandon, keep_on_disk
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-PACKAGES = ("femdeform", "solvers", "meshes", "verification")
 
 # Never `nnan` or `ninf`: kernels detect states that have left the finite numbers.
 FASTMATH = frozenset({"contract", "arcp", "nsz", "reassoc"})
@@ -44,11 +38,6 @@ _RANK_COUNT_VARIABLES = (
     "PMI_SIZE",
 )
 _OUR_THREADS = "FEMDEFORM_EXPORTED_THREADS"
-_OWN_NAME = Path(__file__).name
-_UNUSED_CACHE_SECONDS = 30 * 86400.0
-# Names that talk to numba from outside: a module that imports nothing else has no part in compiled code.
-_FROM_OUTSIDE = frozenset({"CompilationAnnouncer", "set_threads"})
-
 
 # ---------------------------------------------------------------------------------------- decorators
 
@@ -92,11 +81,12 @@ def njit(
     callable
         The compiled function; annotated as the function itself.
     """
-    numba = _numba()
-    decorate = numba.njit(
-        cache=True, error_model="numpy", fastmath=set(fastmath), parallel=parallel, inline=inline, nogil=True
-    )
-    return decorate if function is None else decorate(function)
+    decorate = _numba().njit(error_model="numpy", fastmath=set(fastmath), parallel=parallel, inline=inline, nogil=True)
+
+    def compiled(function: Function) -> Any:
+        return keep_on_disk(decorate(function))
+
+    return compiled if function is None else compiled(function)
 
 
 # numba's own objects, for kernel modules; found on first use, so that numba is imported with its environment
@@ -136,11 +126,8 @@ def _numba() -> Any:
         _configured = True
         first = "numba" not in sys.modules
         threads = default_threads()
-        if first:
-            if "NUMBA_CACHE_DIR" not in os.environ:
-                os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
-            if os.environ.get("NUMBA_NUM_THREADS") != str(threads):
-                _export_threads(threads)
+        if first and os.environ.get("NUMBA_NUM_THREADS") != str(threads):
+            _export_threads(threads)
         import numba
         from numba.core import event
 
@@ -148,90 +135,10 @@ def _numba() -> Any:
         event.register("numba:compile", _CompileListener.instance())
         if not first:
             # Somebody imported numba before us: it no longer reads the environment, but can still be told.
-            if "NUMBA_CACHE_DIR" not in os.environ:
-                os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(_cache_folder())
             numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
     import numba
 
     return numba
-
-
-# ---------------------------------------------------------------------------------------- cache folder
-
-
-def kernel_key() -> str:
-    """Return a hash of the contents of every kernel module of the project.
-
-    A kernel module is one that imports from ``femdeform.jit`` what ends up in compiled code (anything but
-    `_FROM_OUTSIDE`); a module that only holds constants for kernels has to do so as well, otherwise a change of
-    such a constant goes unnoticed.
-    """
-    import hashlib
-
-    digest = hashlib.blake2b(f"{sys.version_info[:2]}".encode(), digest_size=8)
-    root = Path(__file__).resolve().parent.parent
-    for package in PACKAGES:
-        for folder, folders, files in os.walk(root / package):
-            folders[:] = sorted(name for name in folders if name != "__pycache__")
-            for name in sorted(files):
-                if name.endswith(".py"):
-                    source = Path(folder, name).read_bytes()
-                    if name == _OWN_NAME or _is_kernel_module(source):
-                        digest.update(name.encode() + b"\0" + source)
-    return digest.hexdigest()
-
-
-def _is_kernel_module(source: bytes) -> bool:
-    imported = re.findall(rb"^\s*from femdeform\.jit import ([\w, ]+)", source, re.MULTILINE)
-    names = {name.strip().decode() for line in imported for name in line.split(b",")}
-    return bool(names - _FROM_OUTSIDE)
-
-
-def _cache_folder() -> Path:
-    """Return a folder of this user for compiled code, made if needed; else a temporary one."""
-    import tempfile
-
-    name = f"kernels-{kernel_key()}"
-    try:
-        parent = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "femdeform"
-        if _is_private(parent / name):
-            _remove_unused(parent, keep=name)
-            return parent / name
-    except (OSError, RuntimeError):  # Path.home() raises RuntimeError for a user without a home
-        pass
-    try:
-        shared = Path(tempfile.gettempdir()) / f"femdeform-{os.getuid()}-{name}"
-        if _is_private(shared):
-            return shared
-    except (OSError, AttributeError):  # no os.getuid on Windows
-        pass
-    return Path(tempfile.mkdtemp(prefix="femdeform-kernels-"))
-
-
-def _is_private(folder: Path) -> bool:
-    """Make a folder and tell whether only this user can write to it: numba unpickles, so runs, its contents."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    facts = os.stat(folder)
-    if not os.access(folder, os.W_OK | os.X_OK):
-        return False
-    if hasattr(os, "getuid") and (facts.st_uid != os.getuid() or facts.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
-        return False
-    if time.time() - facts.st_mtime > 86400.0:
-        os.utime(folder)
-    return True
-
-
-def _remove_unused(parent: Path, keep: str) -> None:
-    """Remove folders of kernels nobody has used for a month; a version still in use is never that old."""
-    import shutil
-
-    oldest = time.time() - _UNUSED_CACHE_SECONDS
-    for folder in parent.glob("kernels-*"):
-        try:
-            if folder.name != keep and folder.stat().st_mtime < oldest:
-                shutil.rmtree(folder, ignore_errors=True)
-        except OSError:
-            continue
 
 
 # ---------------------------------------------------------------------------------------- threads
@@ -375,7 +282,10 @@ class _CompileListener:
         self._local.depth = depth + 1
 
     def on_end(self, event: Any) -> None:
-        """End a compilation."""
+        """End a compilation; one that failed keeps nobody waiting."""
+        # numba's `is_failed` says the opposite of what its name does.
+        if getattr(event, "_exc_details", None) is not None:
+            abandon(event.data["dispatcher"])
         self._local.depth = getattr(self._local, "depth", 1) - 1
         if self._local.depth == 0:
             self.seconds += time.perf_counter() - self._local.start

@@ -1,117 +1,17 @@
-"""Where compiled code is kept, how many threads it gets, and that a first compilation is heard of."""
+"""How many threads compiled code gets, and that a first compilation is heard of."""
 
 from __future__ import annotations
 
 import os
-import shutil
-import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from kernel_process import KERNEL, run_python
 
 from femdeform import jit
 from femdeform.errors import InputError
 
 THREAD_VARIABLES = ("FEMDEFORM_THREADS", "NUMBA_NUM_THREADS", "FEMDEFORM_EXPORTED_THREADS")
-
-KERNEL = """
-from femdeform.jit import njit, prange
-@njit(parallel=True)
-def total(n):
-    result = 0.0
-    for i in prange(n):
-        result += i
-    return result
-"""
-
-
-def run_python(code: str, tmp_path: Path, **variables: str) -> list[str]:
-    """Run code in a fresh process with nothing of ours in its environment; return the lines it printed."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "FEMDEFORM", "OMPI", "PMI"))}
-    root = str(Path(jit.__file__).resolve().parent.parent)
-    environment |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": f"{root}{os.pathsep}{tmp_path}"}
-    environment |= variables
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
-
-
-# ---------------------------------------------------------------------------------------- cache
-
-
-def test_second_process_compiles_nothing_and_stays_silent(tmp_path: Path) -> None:
-    (tmp_path / "kernel.py").write_text(KERNEL)
-    code = (
-        "from femdeform import jit\n"
-        "with jit.CompilationAnnouncer(print) as announcer:\n"
-        "    import kernel\n"
-        "    assert kernel.total(10) == 45.0 and kernel.total(11) == 55.0\n"
-        "print(announcer.count, announcer.seconds > 0.0, jit.compile_seconds() == announcer.seconds)\n"
-    )
-    assert run_python(code, tmp_path) == [jit.CompilationAnnouncer.MESSAGE, "1 True True"]
-    assert run_python(code, tmp_path) == ["0 False True"]
-    kept = list((tmp_path / "cache" / "femdeform").glob("kernels-*/**/*.nbc"))
-    assert kept
-    mode = next((tmp_path / "cache" / "femdeform").glob("kernels-*")).stat().st_mode
-    assert not mode & (stat.S_IRWXG | stat.S_IRWXO)
-
-
-def test_cache_folder_of_the_user_is_respected(tmp_path: Path) -> None:
-    (tmp_path / "kernel.py").write_text(KERNEL)
-    run_python("import kernel; kernel.total(3)", tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "mine"))
-    assert list((tmp_path / "mine").rglob("*.nbc"))
-    assert not (tmp_path / "cache").exists()
-
-
-def test_numba_imported_first_is_configured_all_the_same(tmp_path: Path) -> None:
-    (tmp_path / "kernel.py").write_text(KERNEL)
-    code = "import numba, kernel; kernel.total(3); print(numba.get_num_threads())"
-    assert run_python(code, tmp_path, FEMDEFORM_THREADS="1") == ["1"]
-    assert list((tmp_path / "cache" / "femdeform").rglob("*.nbc"))
-
-
-def test_unusable_home_falls_back_to_a_private_temporary_folder(tmp_path: Path) -> None:
-    (tmp_path / "kernel.py").write_text(KERNEL)
-    (tmp_path / "cache").write_text("a file where the folder should be")
-    (tmp_path / "temporary").mkdir()
-    code = "import kernel, os; kernel.total(3); print(os.environ['NUMBA_CACHE_DIR'])"
-    (folder,) = run_python(code, tmp_path, TMPDIR=str(tmp_path / "temporary"))
-    assert Path(folder).parent == tmp_path / "temporary"
-    assert not Path(folder).stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    # A folder others can write to is not trusted: what lies in it would be executed.
-    Path(folder).chmod(0o777)
-    (other,) = run_python(code, tmp_path, TMPDIR=str(tmp_path / "temporary"))
-    assert other != folder
-
-
-def test_key_follows_kernel_modules_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for package in jit.PACKAGES:
-        (tmp_path / package).mkdir()
-    kernels, other = tmp_path / "solvers" / "kernels.py", tmp_path / "femdeform" / "cli.py"
-    kernels.write_text("from femdeform.jit import njit\nSTEP = 1.0\n")
-    other.write_text("from femdeform.jit import set_threads\nSTEP = 1.0\n")
-    monkeypatch.setattr(jit, "__file__", str(tmp_path / "femdeform" / "jit.py"))
-    key = jit.kernel_key()
-    other.write_text("from femdeform.jit import set_threads\nSTEP = 2.0\n")
-    assert jit.kernel_key() == key
-    kernels.write_text("from femdeform.jit import njit\nSTEP = 2.0\n")
-    assert jit.kernel_key() != key
-
-
-def test_unused_folders_are_removed_after_a_month(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    parent = tmp_path / "femdeform"
-    for name, age in (("kernels-old", 40.0), ("kernels-recent", 10.0), ("other", 40.0)):
-        (parent / name).mkdir(parents=True)
-        stamp = (parent / name).stat().st_mtime - age * 86400.0
-        os.utime(parent / name, (stamp, stamp))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    used = jit._cache_folder()
-    assert used.parent == parent
-    assert {folder.name for folder in parent.iterdir()} == {"kernels-recent", "other", used.name}
-    shutil.rmtree(parent)
-
 
 # ---------------------------------------------------------------------------------------- threads
 
