@@ -74,7 +74,9 @@ class Stencils:
 
         n, size = self.weights.shape
         offsets = np.arange(0, n * size + 1, size)
-        W = scipy.sparse.csr_matrix((self.weights.ravel(), self.nodes.ravel(), offsets), shape=(n, self.n_nodes))
+        # SciPy drops zeros in place: not in our arrays.
+        entries = (self.weights.flatten(), self.nodes.flatten(), offsets)
+        W = scipy.sparse.csr_matrix(entries, shape=(n, self.n_nodes))
         W.eliminate_zeros()
         return W
 
