@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from femdeform.parallel import Partition
-from femdeform.types import BoolArray, FloatArray
+from femdeform.types import BoolArray, FloatArray, IntArray
 
 # Called after every nonlinear iteration with its row (iteration, residual_norm, relative_residual, objective, ...) and
 # the positions it arrived at, (n_local, dim) [m], which it may read but not change.
@@ -177,6 +177,41 @@ class LocalCells:
 
 
 @dataclass(frozen=True)
+class GatheredCells:
+    """Cells of one law whose deformation any number of nodes decides: ``F = sum_t x_{nodes[t]} gradients[t]^T``.
+
+    Attributes
+    ----------
+    law : NamedTuple
+        The law with its parameters.
+    offsets : (n_cells + 1,) int64
+        First entry of each cell in the arrays below.
+    nodes : (n_entries,) int32
+        Nodes of the problem, ascending in each cell.
+    gradients : (n_entries, dim) float64
+        Their gradients, which add up to zero over a cell [1/m].
+    volumes : (n_cells,) float64
+        Rest volumes [m^3] (2D: areas, per unit thickness).
+    """
+
+    law: Any
+    offsets: IntArray
+    nodes: np.ndarray[Any, np.dtype[np.int32]]
+    gradients: FloatArray
+    volumes: FloatArray
+
+
+class StepRows(Protocol):
+    """Conditions on single nodes, ``k/2 min(n . x - target, 0)^2`` each, or of either sign; see `mpm.walls`."""
+
+    nodes: IntArray
+    normals: FloatArray
+    targets: FloatArray
+    stiffness: FloatArray
+    two_sided: bool
+
+
+@dataclass(frozen=True)
 class NodalTerms:
     """Terms of Phi on single nodes in the step begun: ``sum_i w_i/2 |x_i - c_i|^2 - f_i . x_i``.
 
@@ -201,6 +236,7 @@ class LocalStepProblem(StepProblem, Protocol):
     points: FloatArray  # (n_local, dim) reference positions [m]
     links: Any  # weak constraints between nodes (`femdeform.contact.weak_constraints.WeakConstraints`), or None
     lumped_mass: FloatArray  # (n_local,) [kg]
+    layout: int  # changes with the nodes that there are and the cells over them
 
     def local_cells(self, knows_links: bool = False) -> Sequence[LocalCells]:
         """Cells of all bodies, one entry per law with its parameters.
@@ -216,6 +252,13 @@ class LocalStepProblem(StepProblem, Protocol):
             If a part of the problem has no such form: other elements, consistent mass, contact that couples nodes,
             several ranks.
         """
+
+    def gathered_cells(self) -> Sequence[GatheredCells] | None:
+        """Cells that depend on more nodes than their corners, in the same order every step; None where none do."""
+
+    @property
+    def rows(self) -> StepRows | None:
+        """Conditions on single nodes in the step begun."""
 
     def nodal_terms(self) -> NodalTerms:
         """Inertia and dead loads of the step begun."""

@@ -129,6 +129,7 @@ class IncrementalPotential:
         self._mass = None if quasistatic else mass
         self._set_pattern(self._cell_pattern)
 
+        self.layout = 0
         self.dt = 1.0
         self.time = 0.0
         self.force_scale = 1.0
@@ -473,6 +474,15 @@ class IncrementalPotential:
             )
             for parts in by_law.values()
         ]
+
+    def gathered_cells(self) -> None:
+        """See `LocalStepProblem`: cells have their corners only."""
+        return
+
+    @property
+    def rows(self) -> None:
+        """See `LocalStepProblem`: contact is penalty."""
+        return
 
     def nodal_terms(self) -> NodalTerms:
         """See `LocalStepProblem`."""

@@ -17,14 +17,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from femdeform.contact.penalty import PenaltyContact
 from femdeform.errors import InputError
 from femdeform.fem.assembly import SparseHessian, expand_to_dofs, roundoff, row_sizes
 from femdeform.fem.incremental_potential import IncrementalPotential, State
 from femdeform.mpm import kernels
-from femdeform.mpm.grid import Grid, Stencils
+from femdeform.mpm.grid import Grid, Stencils, product_pattern
 from femdeform.mpm.transfers import momentum_to_grid, spin, velocity_to_points
 from femdeform.mpm.walls import Wall, WallRows, inside, wall_rows
 from femdeform.parallel import Partition
+from femdeform.step_problem import GatheredCells, LocalCells, NodalTerms
 from femdeform.types import BoolArray, FloatArray
 
 # A state whose forces are below this multiple of what rounding may leave is at rest.
@@ -127,6 +129,7 @@ class EmbeddedPotential:
         self.points: FloatArray = np.empty((0, self.dim))
         self.lumped_mass: FloatArray = np.empty(0)
         self.free: BoolArray = np.empty((0, self.dim), dtype=bool)
+        self.rows: WallRows | None = None
 
     def _moduli(self) -> FloatArray:
         """Largest ``(2 mu + lambda) / dx^2`` times the volume of the cells around each mesh node [N/m]."""
@@ -208,7 +211,7 @@ class EmbeddedPotential:
                 loose = nodes[self.free[nodes].all(axis=1)]
                 self._prescribed[loose] = self.points[loose] + dt * wall.velocity
                 self.free[loose] = False
-            self.rows: WallRows | None = None
+            self.rows = None
             return
         stiffness = self.lumped_mass / dt**2 + self.stencils.to_nodes(self._modulus[:, None])[:, 0]
         rows = wall_rows(self.walls, found, self.points, stiffness, dt, self.wall_kind == "slip")
@@ -216,18 +219,10 @@ class EmbeddedPotential:
 
     def _pattern_of(self, s: Stencils) -> None:
         """Sparsity of the step; the same object as before where nothing has changed."""
-        import scipy.sparse
-
         mesh = self.mesh.pattern
-        n = len(s.weights)
-        ones = np.ones(mesh.columns.size, dtype=np.float32)
-        A = scipy.sparse.csr_matrix((ones, mesh.columns, mesh.row_offsets), shape=(n, n))
-        W = s.matrix().astype(np.float32)
-        W.data[:] = 1.0
-        half = (A @ W).tocsr()
-        half.sort_indices()
-        whole = (W.T.tocsr() @ half).tocsr()
-        whole.sort_indices()
+        W = s.pattern()
+        half = product_pattern(mesh.columns, mesh.row_offsets, W)
+        whole = product_pattern(s.points, s.offsets, half)
         old = self._pattern
         if (
             old is not None
@@ -367,6 +362,52 @@ class EmbeddedPotential:
     def hessian_times(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> FloatArray:
         """Product of the projected Hessian, prescribed degrees of freedom included, with a (n_nodes, dim) field."""
         return self.hessian(x, project=True, free=np.ones_like(self.free)).times(step)
+
+    # -------------------------------------------------------------------------------- parts, for local methods
+
+    def local_cells(self, knows_links: bool = False) -> list[LocalCells]:
+        """See `LocalStepProblem`: cells here depend on more than their corners.
+
+        Raises
+        ------
+        InputError
+        """
+        raise InputError("grid: this method sweeps over the nodes of meshes; use projected_newton, xpbd or b_pxpbd")
+
+    def gathered_cells(self) -> list[GatheredCells]:
+        """See `LocalStepProblem`: ``Gt_I = sum_{p in e} w_pI grad N_p``."""
+        s = self.stencils
+        W = s.pattern()
+        result = []
+        for part in self.mesh.local_cells():
+            over_grid = product_pattern(part.cells.ravel(), np.arange(0, part.cells.size + 1, self.dim + 1), W)
+            gradients = np.empty((over_grid.indices.size, self.dim))
+            kernels.cell_gradients(
+                part.cells,
+                part.gradients,
+                s.nodes,
+                s.weights,
+                over_grid.indptr,
+                over_grid.indices,
+                s.n_nodes,
+                gradients,
+            )
+            offsets, nodes = over_grid.indptr.astype(np.int64), over_grid.indices.astype(np.int32)
+            result.append(GatheredCells(part.law, offsets, nodes, gradients, part.volumes))
+        return result
+
+    def nodal_terms(self) -> NodalTerms:
+        """See `LocalStepProblem`."""
+        return NodalTerms(self.lumped_mass / self.dt**2, self._y_hat, self._load)
+
+    def node_contacts(self) -> list[PenaltyContact]:
+        """See `LocalStepProblem`: walls are `rows`."""
+        return []
+
+    def follower_forces(self, x: FloatArray) -> FloatArray | None:
+        """See `LocalStepProblem`: pressure."""
+        follower = self.mesh.follower_forces(self.stencils.to_points(x))
+        return None if follower is None else self.stencils.to_nodes(follower)
 
     # --------------------------------------------------------------------------------------------- judgement
 

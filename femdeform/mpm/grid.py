@@ -68,17 +68,35 @@ class Stencils:
         """Nodes with a weight at one of the points, ascending."""
         return np.unique(self.nodes[points][self.weights[points] > 0.0]).astype(np.int64)
 
-    def matrix(self) -> Any:
-        """W as a SciPy CSR matrix (n_points, n_nodes)."""
+    @property
+    def points(self) -> IntArray:
+        """Points of each node: the entries without their places."""
+        return np.asarray(self.entries // self.weights.shape[1])
+
+    def pattern(self) -> Any:
+        """Where W (n_points, n_nodes) is not zero: a SciPy CSR matrix of ones."""
         import scipy.sparse
 
         n, size = self.weights.shape
-        offsets = np.arange(0, n * size + 1, size)
-        # SciPy drops zeros in place: not in our arrays.
-        entries = (self.weights.flatten(), self.nodes.flatten(), offsets)
-        W = scipy.sparse.csr_matrix(entries, shape=(n, self.n_nodes))
-        W.eliminate_zeros()
-        return W
+        held = self.weights.ravel() > 0.0
+        offsets = np.concatenate([[0], np.cumsum(held)])[::size]
+        ones = np.ones(int(offsets[-1]), dtype=np.float32)
+        return scipy.sparse.csr_matrix((ones, self.nodes.ravel()[held], offsets), shape=(n, self.n_nodes))
+
+
+def product_pattern(columns: np.ndarray, row_offsets: np.ndarray, right: Any) -> Any:
+    """Pattern of a product, from the CSR pattern of its left factor and a SciPy matrix of positive numbers.
+
+    Columns are sorted in each row. All entries are positive: none vanishes by cancelling.
+    """
+    import scipy.sparse
+
+    ones = np.ones(columns.size, dtype=np.float32)
+    left = scipy.sparse.csr_matrix((ones, columns, row_offsets), shape=(row_offsets.size - 1, right.shape[0]))
+    product = (left @ right).tocsr()
+    product.sort_indices()
+    product.data[:] = 1.0
+    return product
 
 
 class Grid:

@@ -183,6 +183,44 @@ def velocity_to_points(
 
 
 @njit(parallel=True)
+def cell_gradients(
+    cells: Any, slopes: Any, nodes: Any, weights: Any, offsets: Any, cell_nodes: Any, n_nodes: Any, out: Any
+) -> None:
+    """Gradients of cells with respect to grid nodes: ``Gt_I = sum_a w_{cells[e, a], I} slopes[e, a]``.
+
+    Parameters
+    ----------
+    cells : (n_cells, n_corners)
+        Points that are the corners of each cell.
+    slopes : (n_cells, n_corners, dim)
+        Gradients of the shape functions [1/m].
+    nodes, weights : (n_points, n_stencil)
+        Nodes and weights of the points.
+    offsets, cell_nodes : (n_cells + 1,), (n_entries,)
+        Grid nodes of each cell.
+    n_nodes : int
+        Number of grid nodes.
+    out : (n_entries, dim)
+        Result [1/m].
+    """
+    n_cells = cells.shape[0]
+    for chunk in prange((n_cells + CHUNK - 1) // CHUNK):
+        place = np.empty(n_nodes, dtype=np.int64)
+        for e in range(chunk * CHUNK, min((chunk + 1) * CHUNK, n_cells)):
+            for t in range(offsets[e], offsets[e + 1]):
+                place[cell_nodes[t]] = t
+                for c in range(out.shape[1]):
+                    out[t, c] = 0.0
+            for a in range(cells.shape[1]):
+                p = cells[e, a]
+                for k in range(weights.shape[1]):
+                    w = weights[p, k]
+                    if w > 0.0:
+                        for c in range(out.shape[1]):
+                            out[place[nodes[p, k]], c] += w * slopes[e, a, c]
+
+
+@njit(parallel=True)
 def spread_columns(
     row_offsets: Any,
     columns: Any,

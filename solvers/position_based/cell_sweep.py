@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from femdeform.errors import InputError
 from femdeform.step_problem import LocalStepProblem
 from femdeform.types import FloatArray, IntArray
-from solvers.position_based import constraint_kernels, piola_kernels
-from solvers.position_based.cell_layout import CellBatch, lay_out_cells
+from solvers.position_based import constraint_kernels, piola_kernels, wall_kernels
+from solvers.position_based.cell_layout import CellBatch, CellLayout, lay_out_cells
 from solvers.position_based.constraints import PAIRED, VANISHING
 from solvers.position_based.nodal_blocks import is_bounded
 from solvers.position_based.obstacle_kernels import ObstacleData, collect
+from solvers.position_based.wall_kernels import WallData, collect_rows
 
 # Sweeps after which base points, sums of many small changes, are made anew.
 _REFRESH = 100
@@ -27,6 +26,8 @@ class CellSweep:
     Parameters
     ----------
     problem : LocalStepProblem
+    previous : CellSweep, optional
+        Of an earlier step of the same problem, whose colours may serve again.
 
     Attributes
     ----------
@@ -39,8 +40,8 @@ class CellSweep:
     stride = 4
     blend = 1.0
 
-    def __init__(self, problem: LocalStepProblem) -> None:
-        self._layout = lay_out_cells(problem, self.stride)
+    def __init__(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> None:
+        self._layout: CellLayout = lay_out_cells(problem, self.stride, None if previous is None else previous._layout)
         self.n_colors = self._layout.n_colors
         self.n_nodes, self.dim = problem.points.shape
         self._dim = (0,) * self.dim
@@ -61,6 +62,7 @@ class CellSweep:
         self._touched_rows: IntArray = np.empty(0, dtype=np.int64)
         self._touched_free = np.empty((0, 3), dtype=np.uint8)
         self._contact_forces = np.empty((0, 3))
+        self._walls: WallData | None = None
         self._target = np.zeros((n, self.dim))
 
     def _fields(self) -> FloatArray:
@@ -92,7 +94,9 @@ class CellSweep:
         if self.stride > 4:
             fields[:, 4 : 4 + self.dim] = self._target
         contacts = problem.node_contacts()
-        self._obstacles = None
+        self._obstacles, self._walls = None, None
+        if problem.rows is not None:
+            self._walls = collect_rows(problem.rows, self._layout.numbering.place, self._free, self.dim)
         if contacts:
             data = collect(contacts, self._layout.numbering.place, self.dim)
             self._obstacles = data
@@ -124,6 +128,23 @@ class CellSweep:
                 first, last = int(batch.offsets[c]), int(batch.offsets[c + 1])
                 if last > first:
                     self._visit(k, batch, first, last, reverse)
+        walls = self._walls
+        if walls is not None:
+            wall_kernels.touch_walls(
+                walls.nodes,
+                walls.offsets,
+                walls.normals,
+                walls.targets,
+                walls.stiffness,
+                walls.two_sided,
+                self.blend,
+                self.stride > 4,
+                self.h2,
+                walls.free,
+                self.stride,
+                self._x,
+                walls.forces,
+            )
         data = self._obstacles
         if data is not None:
             piola_kernels.touch_obstacles(
@@ -175,9 +196,14 @@ class ConstraintSweep(CellSweep):
     """
 
     def __init__(
-        self, problem: LocalStepProblem, epsilon: float = 1e-10, rigid: bool = False, root: bool = False
+        self,
+        problem: LocalStepProblem,
+        epsilon: float = 1e-10,
+        rigid: bool = False,
+        root: bool = False,
+        previous: CellSweep | None = None,
     ) -> None:
-        super().__init__(problem)
+        super().__init__(problem, previous)
         self.epsilon, self.rigid, self.root = epsilon, rigid, root
         if not root:
             require_pairs(self.batches, VANISHING if rigid else PAIRED)
@@ -201,8 +227,8 @@ class _BasedSweep(CellSweep):
 
     stride = 8
 
-    def __init__(self, problem: LocalStepProblem) -> None:
-        super().__init__(problem)
+    def __init__(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> None:
+        super().__init__(problem, previous)
         dd = self.dim * self.dim
         self._held = [np.zeros((len(batch.volumes), dd)) for batch in self.batches]
         self._count = 0
@@ -228,14 +254,11 @@ class _BasedSweep(CellSweep):
         dim, n = self.dim, self.n_nodes
         total = np.zeros((n, dim))
         for k, batch in enumerate(self.batches):
-            gradients = batch.gradients.reshape(-1, dim, dim)
-            gradients = np.concatenate([-gradients.sum(axis=1, keepdims=True), gradients], axis=1)
-            parts = np.einsum("eab,eib->eia", self._push(k), gradients)
-            places = (batch.corners // self.stride).astype(np.int64).ravel()
-            for a in range(dim):
-                total[:, a] += np.bincount(places, parts[:, :, a].ravel(), minlength=n)
+            total += batch.nodal_sums(self._push(k), self.stride, n)
         if self._obstacles is not None:
             total[self._touched] += self.h2 * self._contact_forces[:, :dim]
+        if self._walls is not None:
+            total[self._walls.nodes] += self.h2 * self._walls.forces[:, :dim]
         fields = self._fields()
         total *= fields[:, 3:4] * (self._free[:, :dim] != 0)
         fields[:, 4 : 4 + dim] = self._target + total
@@ -266,22 +289,22 @@ class BlendedSweep(_BasedSweep):
         zeta: float | None = None,
         epsilon: float = 1e-10,
         keep_residual: bool = False,
+        previous: CellSweep | None = None,
     ) -> None:
-        super().__init__(problem)
+        super().__init__(problem, previous)
         require_pairs(self.batches, PAIRED)
         self.epsilon, self.keep_residual = epsilon, keep_residual
         self._wanted = 0.0 if keep_residual else zeta
         self.multipliers = [np.zeros((len(batch.volumes), 2)) for batch in self.batches]
-        # Stiffness numbers for h = 1 s.
-        self._unit_kappa = [_unit_kappa(problem, batch) for batch in self.batches]
         self.zeta = [np.zeros(len(batch.volumes)) for batch in self.batches]
 
     def _forget(self) -> None:
         super()._forget()
         for multipliers in self.multipliers:
             multipliers[:] = 0.0
-        for zeta, kappa in zip(self.zeta, self._unit_kappa, strict=True):
-            zeta[:] = np.maximum(1.0 - _BLEND / (self.h2 * kappa), 0.0) if self._wanted is None else self._wanted
+        for zeta, batch in zip(self.zeta, self.batches, strict=True):
+            kappa = self.h2 * batch.unit_kappa
+            zeta[:] = np.maximum(1.0 - _BLEND / kappa, 0.0) if self._wanted is None else self._wanted
         self.blend = max((float(zeta.max()) for zeta in self.zeta if zeta.size), default=0.0)
 
     def _push(self, k: int) -> FloatArray:
@@ -325,9 +348,14 @@ class PiolaSweep(_BasedSweep):
     blend = 0.0
 
     def __init__(
-        self, problem: LocalStepProblem, local: int = 3, exact: bool = False, search: bool | None = None
+        self,
+        problem: LocalStepProblem,
+        local: int = 3,
+        exact: bool = False,
+        search: bool | None = None,
+        previous: CellSweep | None = None,
     ) -> None:
-        super().__init__(problem)
+        super().__init__(problem, previous)
         self.local, self.exact = local, exact
         self._search = [(exact or not is_bounded(batch.law)) if search is None else search for batch in self.batches]
 
@@ -371,19 +399,3 @@ def require_pairs(batches: list[CellBatch], known: tuple[type, ...]) -> None:
         if not isinstance(batch.law, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise InputError(f"material.law: no constraints of {type(batch.law).__name__}; known are {names}")
-
-
-def _unit_kappa(problem: LocalStepProblem, batch: CellBatch) -> FloatArray:
-    """E / (rho dx^2) of each cell [1/s^2], dx being its shortest edge; E = 3 mu, that of an incompressible material."""
-    points, cells = problem.points, batch.cells
-    n = cells.shape[1]
-    shortest = np.full(len(cells), math.inf)
-    for i in range(n):
-        for j in range(i):
-            edges = points[cells[:, i]] - points[cells[:, j]]
-            shortest = np.minimum(shortest, np.einsum("ea,ea->e", edges, edges))
-    share = np.zeros(len(points))
-    for group in problem.local_cells():
-        np.add.at(share, group.cells, (group.volumes / n)[:, None])
-    density = (problem.lumped_mass[cells] / share[cells]).mean(axis=1)
-    return np.asarray(3.0 * batch.law.mu / (density * shortest))
