@@ -41,6 +41,8 @@ class CellBatch:
         Nodes of the problem; empty for gathered corners.
     unit_kappa : (n_cells,) float64
         Stiffness number of each cell for a step of one second [1/s^2].
+    crowds : (n_cells,) float64
+        Of gathered corners, the most cells that share a node of each cell; else zeros.
     """
 
     law: Any
@@ -51,6 +53,7 @@ class CellBatch:
     offsets: IntArray
     cells: IntArray
     unit_kappa: FloatArray
+    crowds: FloatArray
 
     def nodal_sums(self, push: FloatArray, stride: int, n_nodes: int) -> FloatArray:
         """``sum_e A_e g_i`` at the nodes in the order of the sweep (n_nodes, dim), A being push (n_cells, dim, dim)."""
@@ -160,6 +163,7 @@ def _batch(
         np.searchsorted(colors, np.arange(n_colors + 1)).astype(np.int64),
         cells,
         _unit_kappa(problem, group.law, cells),
+        np.zeros(n),
     )
 
 
@@ -196,6 +200,7 @@ def _lay_out_gathered(
     numbering = layout.number_nodes(problem.points, np.zeros(n_nodes, dtype=np.int64), moves)
     split: BoolArray = moves & ~np.all(problem.free, axis=1)
     kappa = _nodal_kappa(problem, groups)
+    crowd = np.bincount(nodes, minlength=n_nodes).astype(np.float64)
     batches = []
     first = 0
     for group in groups:
@@ -227,6 +232,7 @@ def _lay_out_gathered(
                     np.searchsorted(own[rows], np.arange(n_colors + 1)).astype(np.int64),
                     np.empty((0, problem.points.shape[1] + 1), dtype=np.int64),
                     largest[rows],
+                    np.maximum.reduceat(crowd[group.nodes], starts)[rows],
                 )
             )
     return CellLayout(numbering, n_colors, batches, colors)

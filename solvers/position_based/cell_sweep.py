@@ -18,6 +18,10 @@ from solvers.position_based.wall_kernels import WallData, collect_rows
 _REFRESH = 100
 # (1 - zeta) kappa that blended sweeps bear for kappa up to 3: half of what the fixed corotated law alone does.
 _BLEND = 0.05
+# Where a node belongs to hundreds of cells, as on a grid, each of which pulls it to its base point in a sweep: nothing
+# changes while the largest kappa is below the first number; beyond it, for the pulls of all cells act together,
+# (1 - zeta) kappa of every cell has to be the second one over that of the cells of a node.
+_CALM, _CROWDED = 0.4, 0.4
 
 
 class CellSweep:
@@ -302,10 +306,18 @@ class BlendedSweep(_BasedSweep):
         super()._forget()
         for multipliers in self.multipliers:
             multipliers[:] = 0.0
+        largest = max((float(batch.unit_kappa.max()) for batch in self.batches), default=0.0)
+        calm = self.h2 * largest <= _CALM
         for zeta, batch in zip(self.zeta, self.batches, strict=True):
-            kappa = self.h2 * batch.unit_kappa
-            zeta[:] = np.maximum(1.0 - _BLEND / kappa, 0.0) if self._wanted is None else self._wanted
+            zeta[:] = self._safe_zeta(batch, calm) if self._wanted is None else self._wanted
         self.blend = max((float(zeta.max()) for zeta in self.zeta if zeta.size), default=0.0)
+
+    def _safe_zeta(self, batch: CellBatch, calm: bool) -> FloatArray:
+        """Part of XPBD by the stiffness number of each cell."""
+        kappa = self.h2 * batch.unit_kappa
+        crowded = (batch.crowds > 0.0) & (not calm)
+        bound = np.where(crowded, _CROWDED / np.maximum(batch.crowds, 1.0), _BLEND)
+        return np.asarray(np.maximum(1.0 - bound / kappa, 0.0))
 
     def _push(self, k: int) -> FloatArray:
         return self._held[k].reshape(-1, self.dim, self.dim)
