@@ -173,6 +173,4 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
     state = State(discretization.points.copy(), velocity)
     if isinstance(problem, EmbeddedPotential):
         state = problem.initial_state(state.x, state.v)
-    return Simulation(
-        scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices
-    )
+    return Simulation(scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices)
