@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from femdeform.parallel import Partition
-from femdeform.types import BoolArray, FloatArray
+from femdeform.types import BoolArray, FloatArray, IntArray
 
 # Called after every nonlinear iteration with its row (iteration, residual_norm, relative_residual, objective, ...) and
 # the positions it arrived at, (n_local, dim) [m], which it may read but not change.
@@ -99,6 +99,24 @@ class StepProblem(Protocol):
     has_barriers: bool  # whether there is contact that nothing may penetrate: `max_step` then bounds steps
     obstacles_push: bool  # whether obstacles move that nothing may penetrate
 
+    def solver_state(self, state: Any) -> Any:
+        """The state from which a step begins in terms of the unknowns, with the step begun: solvers take this one."""
+
+    def node_positions(self, x: FloatArray) -> FloatArray:
+        """Positions of the nodes of the bodies [m] for unknowns x."""
+
+    def unknowns_near(self, positions: FloatArray) -> FloatArray:
+        """Unknowns for which the nodes of the bodies are at positions [m], as far as there are such."""
+
+    def step_limit(self, state: Any) -> float:
+        """Longest step that may be taken from a state of the bodies [s]."""
+
+    def refusal(self, x: FloatArray) -> str:
+        """Why a solved step may not be accepted although its equations are solved, or empty."""
+
+    def spin(self, state: Any) -> FloatArray | None:
+        """Angular momentum of each node about itself (n_local, 3) [kg m^2/s], where nodes have any."""
+
     def initial_guess(self, state: Any) -> FloatArray:
         """Positions of the last state with the prescribed values of this step."""
 
@@ -162,6 +180,44 @@ class LocalCells:
 
 
 @dataclass(frozen=True)
+class GatheredCells:
+    """Cells of one law whose deformation any number of nodes decides: ``F = sum_t x_{nodes[t]} gradients[t]^T``.
+
+    Attributes
+    ----------
+    law : NamedTuple
+        The law with its parameters.
+    offsets : (n_cells + 1,) int64
+        First entry of each cell in the arrays below.
+    nodes : (n_entries,) int32
+        Nodes of the problem, ascending in each cell.
+    gradients : (n_entries, dim) float64
+        Their gradients, which add up to zero over a cell [1/m].
+    volumes : (n_cells,) float64
+        Rest volumes [m^3] (2D: areas, per unit thickness).
+    """
+
+    law: Any
+    offsets: IntArray
+    nodes: np.ndarray[Any, np.dtype[np.int32]]
+    gradients: FloatArray
+    volumes: FloatArray
+
+
+class StepRows(Protocol):
+    """Conditions on single nodes, ``k/2 min(n . x - target, 0)^2`` each, or of either sign; see `mpm.walls`."""
+
+    nodes: IntArray
+    normals: FloatArray
+    targets: FloatArray
+    stiffness: FloatArray
+    two_sided: bool
+
+    def add_gradient(self, y: FloatArray, out: FloatArray) -> None:
+        """Add the gradient at y [N] to `out`, both (n_local, dim)."""
+
+
+@dataclass(frozen=True)
 class NodalTerms:
     """Terms of Phi on single nodes in the step begun: ``sum_i w_i/2 |x_i - c_i|^2 - f_i . x_i``.
 
@@ -192,6 +248,7 @@ class LocalStepProblem(StepProblem, Protocol):
     constraints: Sequence[Any]  # of membranes and rods (`femdeform.fem.thin_constraints.ThinConstraints`)
     lumped_mass: FloatArray  # (n_local,) [kg]
     dt: float  # length of the step begun [s]
+    layout: int  # changes with the nodes that there are and the cells over them
 
     def local_cells(self, knows: Collection[Feature] = ()) -> Sequence[LocalCells]:
         """Cells of all bodies, one entry per law with its parameters.
@@ -208,6 +265,13 @@ class LocalStepProblem(StepProblem, Protocol):
             If a part of the problem has no such form: other elements, consistent mass, contact that couples nodes,
             several ranks.
         """
+
+    def gathered_cells(self) -> Sequence[GatheredCells] | None:
+        """Cells that depend on more nodes than their corners, in the same order every step; None where none do."""
+
+    @property
+    def rows(self) -> StepRows | None:
+        """Conditions on single nodes in the step begun."""
 
     def nodal_terms(self) -> NodalTerms:
         """Inertia and dead loads of the step begun."""

@@ -161,6 +161,83 @@ def _assign(items: Any, set_offsets: Any, set_items: Any, item_offsets: Any, ite
         colors[i] = c
 
 
+def color_cells(offsets: IntArray, nodes: np.ndarray[Any, Any], n_nodes: int, previous: IntArray | None) -> IntArray:
+    """Colour cells so that no two of one colour share a node, from the colours of an earlier step (appendix C).
+
+    For cells of many nodes each: what colours are taken is kept per node, as bits. Cells whose earlier colour is free
+    keep it, in the order of their numbers; then the others take the smallest free one.
+
+    Parameters
+    ----------
+    offsets, nodes : (n_cells + 1,), (n,) integer arrays
+        Nodes of each cell.
+    n_nodes : int
+        Number of nodes.
+    previous : (n_cells,) int64, optional
+        Earlier colours, of the same cells at other nodes.
+
+    Returns
+    -------
+    (n_cells,) int64
+        Colours from 0.
+    """
+    n_cells = offsets.size - 1
+    colors = np.full(n_cells, -1, dtype=np.int64)
+    words = 1
+    if previous is not None and n_cells:
+        words += int(previous.max()) // 64
+    while True:
+        taken = np.zeros((n_nodes, words), dtype=np.uint64)
+        start = colors.copy() if previous is None else previous.copy()
+        if _color_with_bits(offsets, nodes, start, taken):
+            return start
+        words *= 2
+
+
+@njit
+def _color_with_bits(offsets: Any, nodes: Any, colors: Any, taken: Any) -> bool:
+    """Replace colours that collide, and -1; False if there are more colours than bits."""
+    words = taken.shape[1]
+    one, full = np.uint64(1), np.uint64(0xFFFFFFFFFFFFFFFF)
+    for e in range(colors.size):
+        c = colors[e]
+        if c < 0:
+            continue
+        word, bit = c // 64, one << np.uint64(c % 64)
+        is_free = True
+        for t in range(offsets[e], offsets[e + 1]):
+            if taken[nodes[t], word] & bit:
+                is_free = False
+                break
+        if not is_free:
+            colors[e] = -1
+            continue
+        for t in range(offsets[e], offsets[e + 1]):
+            taken[nodes[t], word] |= bit
+    for e in range(colors.size):
+        if colors[e] >= 0:
+            continue
+        found = False
+        for word in range(words):
+            union = np.uint64(0)
+            for t in range(offsets[e], offsets[e + 1]):
+                union |= taken[nodes[t], word]
+            if union == full:
+                continue
+            k = 0
+            while union & (one << np.uint64(k)):
+                k += 1
+            bit = one << np.uint64(k)
+            for t in range(offsets[e], offsets[e + 1]):
+                taken[nodes[t], word] |= bit
+            colors[e] = 64 * word + k
+            found = True
+            break
+        if not found:
+            return False
+    return True
+
+
 def is_valid(graph: Incidence, colors: IntArray) -> bool:
     """Whether no two items of a set share a colour."""
     sets = np.repeat(np.arange(graph.set_offsets.size - 1), np.diff(graph.set_offsets))

@@ -33,9 +33,9 @@ class BlendedPXPBD(CellSolver):
 
     options: BPXPBDSolver
 
-    def make_sweep(self, problem: LocalStepProblem) -> CellSweep:
+    def make_sweep(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> CellSweep:
         """See `CellSolver`."""
-        return BlendedSweep(problem, self.options.zeta, self.options.epsilon)
+        return BlendedSweep(problem, self.options.zeta, self.options.epsilon, previous=previous)
 
     def stopping(self) -> Stopping:
         """See `CellSolver`."""
@@ -60,10 +60,11 @@ class FirstPiolaPXPBD(CellSolver):
 
     options: FPPXPBDSolver
 
-    def make_sweep(self, problem: LocalStepProblem) -> CellSweep:
+    def make_sweep(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> CellSweep:
         """See `CellSolver`."""
         options = self.options
-        return PiolaSweep(problem, options.local_iterations, options.tangent == "exact", options.line_search)
+        exact = options.tangent == "exact"
+        return PiolaSweep(problem, options.local_iterations, exact, options.line_search, previous)
 
     def stopping(self) -> Stopping:
         """See `CellSolver`."""

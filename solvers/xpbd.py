@@ -29,16 +29,20 @@ class CellSolver:
         self.options = options
         self._problem: LocalStepProblem | None = None
         self._sweep: CellSweep | None = None
+        self._layout = 0
 
     def sweep_of(self, problem: LocalStepProblem) -> CellSweep:
-        """The sweep for a problem, laid out once."""
+        """The sweep for a problem, laid out once, or again where its cells are over other nodes than before."""
         if self._sweep is None or self._problem is not problem:
             self._problem, self._sweep = problem, self.make_sweep(problem)
             self._sweep.links_first = getattr(self.options, "links_first", False)
+        elif self._layout != problem.layout:
+            self._sweep = self.make_sweep(problem, self._sweep)
+        self._layout = problem.layout
         return self._sweep
 
-    def make_sweep(self, problem: LocalStepProblem) -> CellSweep:
-        """Lay out the sweep for a problem."""
+    def make_sweep(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> CellSweep:
+        """Lay out the sweep for a problem, with the colours of an earlier one of the same problem if there is one."""
         raise NotImplementedError
 
     def stopping(self) -> Stopping:
@@ -65,7 +69,9 @@ class CellSolver:
         return step.dynamics(self.stopping(), getattr(self.options, "order", "forward") == "reverse")
 
     def reset(self) -> None:
-        """The layout depends on the problem alone; nothing else is held between steps."""
+        """Forget colours, where they come from earlier steps: else the layout depends on the problem alone."""
+        if self._problem is not None and self._problem.layout > 0:
+            self.destroy()
 
     def destroy(self) -> None:
         """Free the layout."""
@@ -93,12 +99,12 @@ class XPBD(CellSolver):
 
     options: XPBDSolver
 
-    def make_sweep(self, problem: LocalStepProblem) -> CellSweep:
+    def make_sweep(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> CellSweep:
         """See `CellSolver`."""
         options = self.options
         if options.keep_primary_residual:
-            return BlendedSweep(problem, epsilon=options.epsilon, keep_residual=True)
-        return ConstraintSweep(problem, options.epsilon, root=options.constraints == "root")
+            return BlendedSweep(problem, epsilon=options.epsilon, keep_residual=True, previous=previous)
+        return ConstraintSweep(problem, options.epsilon, root=options.constraints == "root", previous=previous)
 
     def stopping(self) -> Stopping:
         """See `CellSolver`."""
@@ -121,9 +127,9 @@ class PBD(CellSolver):
 
     options: PBDSolver
 
-    def make_sweep(self, problem: LocalStepProblem) -> CellSweep:
+    def make_sweep(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> CellSweep:
         """See `CellSolver`."""
-        return ConstraintSweep(problem, 0.0, rigid=True)
+        return ConstraintSweep(problem, 0.0, rigid=True, previous=previous)
 
     def stopping(self) -> Stopping:
         """See `CellSolver`."""
@@ -161,9 +167,9 @@ class XPBDQuasistatic(CellSolver):
 
     options: XPBDQSSolver
 
-    def make_sweep(self, problem: LocalStepProblem) -> CellSweep:
+    def make_sweep(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> CellSweep:
         """See `CellSolver`."""
-        return ConstraintSweep(problem, self.options.epsilon)
+        return ConstraintSweep(problem, self.options.epsilon, previous=previous)
 
     def step(
         self,

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.errors import InputError
-from femdeform.fem.incremental_potential import IncrementalPotential, State
+from femdeform.fem.incremental_potential import State
 from femdeform.jit import set_threads
 from femdeform.run.setup import Simulation, build_simulation
+from femdeform.run.time_loop import Problem, take_step
 from femdeform.scene.checks import check_scene
 from femdeform.scene.load import load_scene
 from femdeform.scene.meshing import load_meshes
@@ -79,8 +80,7 @@ def build(data: dict[str, Any]) -> Simulation:
 def step(simulation: Simulation, dt: float | None = None) -> StepResult:
     """One step, which has to converge; the simulation's state moves on."""
     problem, state = simulation.problem, simulation.state
-    problem.begin_step(state, simulation.scene.time.dt if dt is None else dt)
-    result = simulation.solver.step(problem, state)
+    result = take_step(problem, simulation.solver, state, simulation.scene.time.dt if dt is None else dt)
     assert result.converged, result.reason
     simulation.state = problem.accept(state, result.x)
     return result
@@ -109,7 +109,7 @@ def displacement(simulation: Simulation) -> Array:
     return simulation.state.x - simulation.discretization.points
 
 
-def dense_hessian(problem: IncrementalPotential, x: Array, project: bool, everything: bool = False) -> Array:
+def dense_hessian(problem: Problem, x: Array, project: bool, everything: bool = False) -> Array:
     """Hessian of Phi as a dense matrix (n_nodes dim, n_nodes dim); `everything` keeps prescribed rows."""
     import scipy.sparse
 

@@ -219,6 +219,8 @@ def _with_fields(simulation: Simulation, problem: Problem) -> Simulation:
         conditions = prescribed
     trapezoidal = problem.integrator == "trapezoidal"
     if conditions is not simulation.conditions or trapezoidal:
+        if not isinstance(simulation.problem, IncrementalPotential):
+            raise InputError("grid: studies that prescribe fields do not know it")
         kind = TrapezoidalPotential if trapezoidal else IncrementalPotential
         step = kind(discretization, conditions, simulation.problem.quasistatic, simulation.problem.contacts)
         simulation = replace(simulation, conditions=conditions, problem=step)

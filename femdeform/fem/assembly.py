@@ -189,18 +189,10 @@ class BlockPattern:
 
     def _expand(self) -> None:
         """CSR structure over degrees of freedom: node by node, component by component."""
-        d = self.dim
         n = self.n_nodes
         mirrors = np.searchsorted(self.rows * n + self.columns, self.columns.astype(np.int64) * n + self.rows)
         self.mirrors = mirrors.astype(self.offsets.dtype)
-        per_node = np.diff(self.row_offsets).astype(np.int64)
-        self.dof_row_offsets = np.concatenate([[0], np.cumsum(np.repeat(per_node * d, d))]).astype(np.int32)
-        expanded = (d * self.columns[:, None] + np.arange(d, dtype=np.int32)).ravel()  # one dof row per node
-        # Each node's row of columns is repeated once per component.
-        lengths = np.repeat(per_node * d, d)
-        starts = np.repeat(self.row_offsets[:-1].astype(np.int64) * d, d)
-        index = np.arange(lengths.sum()) - np.repeat(self.dof_row_offsets[:-1].astype(np.int64), lengths)
-        self.dof_columns = expanded[np.repeat(starts, lengths) + index]
+        self.dof_row_offsets, self.dof_columns = expand_to_dofs(self.row_offsets, self.columns, self.dim)
 
     @property
     def n_values(self) -> int:
@@ -220,6 +212,42 @@ class BlockPattern:
         result = np.zeros(key.size)
         result[position] = scalar.data
         return result
+
+
+def expand_to_dofs(row_offsets: np.ndarray, columns: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray]:
+    """CSR structure over degrees of freedom, component by component of a node, from one over nodes.
+
+    Parameters
+    ----------
+    row_offsets, columns : (n_nodes + 1,), (n_blocks,) int arrays
+        Structure over nodes.
+    dim : int
+        Components per node.
+
+    Returns
+    -------
+    (n_nodes dim + 1,), (n_blocks dim^2,) int32
+        Row offsets and columns.
+    """
+    per_node = np.diff(row_offsets).astype(np.int64)
+    # Each node's row of columns is repeated once per component.
+    lengths = np.repeat(per_node * dim, dim)
+    dof_row_offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+    expanded = (dim * columns[:, None] + np.arange(dim, dtype=np.int32)).ravel()  # one dof row per node
+    starts = np.repeat(row_offsets[:-1].astype(np.int64) * dim, dim)
+    index = np.arange(lengths.sum()) - np.repeat(dof_row_offsets[:-1].astype(np.int64), lengths)
+    return dof_row_offsets, expanded[np.repeat(starts, lengths) + index]
+
+
+def row_sizes(values: FloatArray, row_offsets: np.ndarray) -> FloatArray:
+    """Largest entry, by size, of each row of a CSR matrix."""
+    return np.asarray(np.maximum.reduceat(np.abs(values), row_offsets[:-1].astype(np.int64)))
+
+
+def roundoff(rows: FloatArray, x: FloatArray) -> float:
+    """Sum of squares of what rounding of positions x [m] leaves of forces with rows of such sizes [N^2]."""
+    size = float(np.abs(x).max(initial=0.0))
+    return float(np.sum((4.0 * np.finfo(float).eps * rows * size) ** 2))
 
 
 def _offsets(numbers: np.ndarray, n: int) -> np.ndarray:

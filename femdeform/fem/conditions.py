@@ -59,18 +59,19 @@ class PrescribedMotion:
 
     def positions(self, time: float) -> FloatArray:
         """Positions (n, dim) at a time [m]."""
+        return self.carry(self.reference, None, time)
+
+    def carry(self, points: FloatArray, before: float | None, after: float) -> FloatArray:
+        """Where the motion takes points (n, dim) from one time to another [m]; from the reference state if None."""
         condition = self.condition
         if isinstance(condition, schema.Fixed):
-            return self.reference
+            return points
         if isinstance(condition, schema.Path):
-            table = np.array(condition.displacements)
-            shift = np.array([np.interp(time, condition.times, column) for column in table.T])
-            return np.asarray(self.reference + shift)
-        stop = np.inf if condition.stop is None else condition.stop
-        elapsed = max(min(time, stop) - condition.start, 0.0)
+            return np.asarray(points + self._path(after) - (0.0 if before is None else self._path(before)))
+        elapsed = self._elapsed(after) - (0.0 if before is None else self._elapsed(before))
         if isinstance(condition, schema.Translate):
-            return self.reference + elapsed * np.array(condition.velocity)
-        offset = self.reference - self.center
+            return points + elapsed * np.array(condition.velocity)
+        offset = points - self.center
         angle = condition.rate * elapsed
         if condition.axis is None:
             turned = rotate_planar(offset, angle)
@@ -80,6 +81,18 @@ class PrescribedMotion:
             if isinstance(condition, schema.Twist):
                 turned = turned + elapsed * condition.elongation_rate * axis
         return np.asarray(self.center + turned)
+
+    def _path(self, time: float) -> FloatArray:
+        assert isinstance(self.condition, schema.Path)
+        table = np.array(self.condition.displacements)
+        return np.array([np.interp(time, self.condition.times, column) for column in table.T])
+
+    def _elapsed(self, time: float) -> float:
+        """Time for which the motion has lasted [s]."""
+        condition = self.condition
+        assert isinstance(condition, (schema.Translate, schema.Rotate))
+        stop = np.inf if condition.stop is None else condition.stop
+        return max(min(time, stop) - condition.start, 0.0)
 
 
 def rotate_planar(vectors: FloatArray, angle: float) -> FloatArray:

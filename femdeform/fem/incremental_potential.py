@@ -18,7 +18,7 @@ from femdeform.contact.weak_constraints import WeakConstraints
 from femdeform.contact.weak_contact import WeakContact
 from femdeform.errors import InputError
 from femdeform.fem import kernels
-from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian
+from femdeform.fem.assembly import BlockPattern, SlotSum, SparseHessian, roundoff, row_sizes
 from femdeform.fem.conditions import Conditions
 from femdeform.fem.discretization import Discretization
 from femdeform.fem.energies import CellTerm, ElasticEnergy, FollowerPressure
@@ -43,16 +43,20 @@ class State:
         Time [s].
     step : int
         Number of accepted steps.
+    affine : (n_local, dim, dim) float64, optional
+        Gradients of the velocity that the nodes of grid-embedded bodies carry [1/s].
     """
 
     x: FloatArray
     v: FloatArray
     time: float = 0.0
     step: int = 0
+    affine: FloatArray | None = None
 
     def copy(self) -> State:
         """Return an independent copy."""
-        return State(self.x.copy(), self.v.copy(), self.time, self.step)
+        affine = None if self.affine is None else self.affine.copy()
+        return State(self.x.copy(), self.v.copy(), self.time, self.step, affine)
 
 
 class IncrementalPotential:
@@ -140,6 +144,7 @@ class IncrementalPotential:
         mass = discretization.consistent_mass
         self._mass = None if quasistatic else mass
 
+        self.layout = 0
         self.dt = 1.0
         self.time = 0.0
         self.force_scale = 1.0
@@ -177,6 +182,30 @@ class IncrementalPotential:
         inertia = 0.0 if self.quasistatic else self.partition.norm(self.apply_mass(state.x - self._x_hat)) / dt**2
         internal = self.partition.norm(self.internal_forces(state.x, links=False))
         self.force_scale = inertia + internal + self.partition.norm(self.load)
+
+    def solver_state(self, state: State) -> State:
+        """See `StepProblem`: the unknowns are the positions of the nodes."""
+        return state
+
+    def node_positions(self, x: FloatArray) -> FloatArray:
+        """See `StepProblem`: the unknowns themselves."""
+        return x
+
+    def unknowns_near(self, positions: FloatArray) -> FloatArray:
+        """See `StepProblem`: the positions themselves."""
+        return positions
+
+    def step_limit(self, state: State) -> float:
+        """See `StepProblem`: no limit."""
+        return np.inf
+
+    def refusal(self, x: FloatArray) -> str:
+        """See `StepProblem`: whatever solves the equations will do."""
+        return ""
+
+    def spin(self, state: State) -> FloatArray | None:
+        """See `StepProblem`: nodes are points."""
+        return None
 
     def set_loads(self, time: float) -> None:
         """Evaluate gravity, dead loads, pressures and the activation of muscles at a time."""
@@ -516,6 +545,15 @@ class IncrementalPotential:
             for parts in by_law.values()
         ]
 
+    def gathered_cells(self) -> None:
+        """See `LocalStepProblem`: cells have their corners only."""
+        return
+
+    @property
+    def rows(self) -> None:
+        """See `LocalStepProblem`: contact is penalty."""
+        return
+
     def nodal_terms(self) -> NodalTerms:
         """See `LocalStepProblem`."""
         mass = self.discretization.lumped_mass
@@ -557,15 +595,13 @@ class IncrementalPotential:
 
     def roundoff_norm(self, x: FloatArray) -> float:
         """Residual that rounding alone can leave at `x` [N]: no solver can be asked for less."""
-        # The magnitude of K from the diagonal of the last Hessian.
+        # The magnitude of K from the rows of the last Hessian.
         rows = self._rows if self._values is None else self._row_scale(self._values)
         return 0.0 if rows is None else self._rounding_of(rows, x)
 
     def _rounding_of(self, rows: FloatArray, x: FloatArray) -> float:
         """|K| |x| eps [N], from the magnitude of every owned row of K [N/m]."""
-        size = float(np.abs(x[: self.partition.n_owned]).max(initial=0.0))
-        local = float(np.sum((rows * size) ** 2))
-        return 4.0 * np.finfo(float).eps * float(np.sqrt(self.partition.sum(local)))
+        return float(np.sqrt(self.partition.sum(roundoff(rows, x[: self.partition.n_owned]))))
 
     def _stiffness_of_rows(self) -> FloatArray:
         """Magnitude of the rows of the elastic Hessian at rest [N/m], from moduli and the gradients of the cells."""
@@ -578,8 +614,7 @@ class IncrementalPotential:
         return self._elastic_rows
 
     def _row_scale(self, values: FloatArray) -> FloatArray:
-        starts = self.pattern.dof_row_offsets[:-1].astype(np.int64)
-        return np.asarray(np.maximum.reduceat(np.abs(values), starts))[: self.partition.n_owned * self.dim]
+        return row_sizes(values, self.pattern.dof_row_offsets)[: self.partition.n_owned * self.dim]
 
     def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
         """Largest part in [0, 1] of a step that contact leaves free; laws set no bound.

@@ -54,6 +54,8 @@ class Checkpoint:
         Hash of the scene that was run.
     mesh_files : dict of str to str
         SHA-256 of the mesh file of every body that has one.
+    affine : (n_nodes, dim, dim) float64, optional
+        Affine velocities of grid-embedded bodies [1/s].
     """
 
     x: FloatArray
@@ -66,6 +68,7 @@ class Checkpoint:
     seconds: float
     scene_hash: str
     mesh_files: dict[str, str] = field(default_factory=dict)
+    affine: FloatArray | None = None
 
 
 def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
@@ -83,6 +86,8 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     with h5py.File(image, "w") as file:
         file.attrs["version"] = _VERSION
         for name, value in vars(checkpoint).items():
+            if value is None:
+                continue
             if isinstance(value, np.ndarray):
                 file.create_dataset(name, data=value)
             else:
@@ -144,6 +149,7 @@ def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
                 seconds=float(attributes["seconds"]),
                 scene_hash=str(attributes["scene_hash"]),
                 mesh_files=dict(json.loads(attributes["mesh_files"])),
+                affine=file["affine"][()] if "affine" in file else None,
             )
     except (OSError, KeyError, ValueError) as error:
         message = f"the checkpoint is damaged ({error}); {START_ANEW}"

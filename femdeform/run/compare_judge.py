@@ -63,14 +63,15 @@ class Judge:
         """
         self._problem.begin_step(state, dt)
         self._problem.place_obstacles(1.0)
-        self._problem.arrive_at(x_reference)
+        x = self._problem.unknowns_near(x_reference)
+        self._problem.arrive_at(x)
         # The level of rounding, by which rest is recognised, is known after a Hessian.
-        self._problem.hessian(x_reference, project=True)
-        self._problem.settle_force_scale(x_reference)
+        self._problem.hessian(x, project=True)
+        self._problem.settle_force_scale(x)
 
     def start(self, state: State) -> FloatArray:
         """Positions from which every solver of the step starts [m]: the last ones, with supports moved."""
-        return self._problem.initial_guess(state)
+        return self._problem.initial_guess(self._problem.solver_state(state))
 
     def roundoff(self, x: FloatArray) -> float:
         """Residual that rounding alone may leave [N]."""
@@ -100,9 +101,13 @@ class Judge:
         }
 
     def distance(self, x: FloatArray, x_reference: FloatArray) -> dict[str, float]:
-        """Mass-weighted root mean square and largest distance of the nodes from where the reference has them [m]."""
+        """Mass-weighted root mean square and largest distance of the nodes from where the reference has them [m].
+
+        x are unknowns of the step begun, `x_reference` positions of the nodes of the bodies.
+        """
         with np.errstate(all="ignore"):
-            squared = np.einsum("ic,ic->i", x - x_reference, x - x_reference)
+            away = self._problem.node_positions(x) - x_reference
+            squared = np.einsum("ic,ic->i", away, away)
         rms = math.sqrt(float(self._mass @ squared / self._mass.sum()))
         return {"distance": rms, "distance_max": math.sqrt(float(squared.max(initial=0.0)))}
 

@@ -13,7 +13,7 @@ from femdeform.run.compare_judge import Judge
 from femdeform.run.compare_variants import REFERENCE
 from femdeform.run.setup import build_simulation
 from femdeform.run.status_line import StatusLine
-from femdeform.run.time_loop import StepControl
+from femdeform.run.time_loop import StepControl, take_step
 from femdeform.scene import schema
 from femdeform.step_problem import StepResult
 from femdeform.types import Mesh
@@ -94,8 +94,8 @@ class Reference:
             dt = self.control.next_step(before.time)
             self.judge.begin_step(before, dt, state.x)
             row = step_row(REFERENCE, before, dt, result, math.nan, CONVERGED)
-            measured = self.judge.residual(state.x) | self.judge.distance(state.x, state.x)
-            at_rest = measured["residual_norm"] <= _REST * self.judge.roundoff(before.x)
+            measured = self.judge.residual(result.x) | self.judge.distance(result.x, state.x)
+            at_rest = measured["residual_norm"] <= _REST * self.judge.roundoff(self.judge.start(before))
             if not (measured["relative_residual"] <= _REFERENCE_LIMIT or at_rest):
                 # A body that has run away to where rounding exceeds its forces.
                 raise self._failure(before, dt, result.reason, measured["relative_residual"])
@@ -106,8 +106,13 @@ class Reference:
         self._status.show(f"reference: {place}")
         problem = self.simulation.problem
         dt = self.control.next_step(state.time)
-        problem.begin_step(state, dt)
-        result = self.simulation.solver.step(problem, state)
+        limit = problem.step_limit(state)
+        if dt > limit:
+            raise NotConvergedError(
+                f"step {state.step + 1} of the reference may not be longer than {limit:.3g} s (grid.cfl: bodies move "
+                f"too fast for the cells), and a comparison keeps its steps: time.dt = {dt:.3g} s has to be smaller"
+            )
+        result = take_step(problem, self.simulation.solver, state, dt)
         if not result.converged:
             raise self._failure(state, dt, result.reason, result.relative_residual)
         return problem.accept(state, result.x), result

@@ -94,9 +94,10 @@ class Trial:
         simulation = self._build()
         start = self.reference.start
         try:
-            simulation.problem.begin_step(start, self.reference.control.next_step(start.time))
+            problem = simulation.problem
+            problem.begin_step(start, self.reference.control.next_step(start.time))
             budget = Budget(iterations=_WARM_UP_ITERATIONS)
-            simulation.solver.step(simulation.problem, start.copy(), _stop_at_nonsense, budget)
+            simulation.solver.step(problem, problem.solver_state(start.copy()), _stop_at_nonsense, budget)
         except _NotFiniteError:
             pass  # the run itself will say so
         except InputError as error:
@@ -157,12 +158,13 @@ class Trial:
 
         judge.begin_step(state, dt, target)
         problem.begin_step(state, dt)
+        begin = problem.solver_state(state)
         record(0, 0.0, judge.start(state))
         budget.start()
         try:
-            result = simulation.solver.step(problem, state, observe, budget)
+            result = simulation.solver.step(problem, begin, observe, budget)
         except _NotFiniteError as error:
-            nowhere = np.full_like(state.x, math.nan)
+            nowhere = np.full_like(begin.x, math.nan)
             result = StepResult(nowhere, False, str(error), error.iteration, 0, math.nan, math.nan)
         seconds = budget.elapsed()
         measured = judge.residual(result.x) | judge.distance(result.x, target)

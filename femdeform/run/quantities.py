@@ -215,6 +215,8 @@ def _momentum(quantity: schema.MomentumQuantity) -> Evaluate:
         density = simulation.problem.apply_mass(state.v)[owned]
         if quantity.kind == "angular_momentum":
             density = _cross(state.x[owned], density)
+            spin = simulation.problem.spin(state)
+            density = density if spin is None else density + spin[owned]
         return _component(_sum_over_ranks(simulation, density.sum(axis=0)), quantity.component)
 
     return evaluate

@@ -147,6 +147,7 @@ class _Run:
         self.reactions: FloatArray | None = None
         self.n_frames = 0
         self.n_failures = 0
+        self.limited_dt = 0.0
         scene_time = self.scene.time
         on_failure = self.scene.on_failure
         self.control = StepControl(
@@ -212,6 +213,7 @@ class _Run:
                 on_accept=self._on_accept,
                 on_failure=self._on_failure,
                 observe=self._observer,
+                on_limit=self._on_limit,
             )
 
     def _on_accept(self, state: State, result: StepResult, dt: float) -> None:
@@ -276,6 +278,14 @@ class _Run:
             )
         self._stop_together()
 
+    def _on_limit(self, state: State, dt: float, limit: float) -> None:
+        if dt != self.limited_dt:
+            self.limited_dt = dt
+            self.progress.notice(
+                f"step {state.step + 1}: dt = {dt:.3g} s, for bodies may cross only a part of a cell in a step "
+                f"(grid.cfl: {limit:.3g} s)"
+            )
+
     def _observer(self, step: int) -> IterationObserver | None:
         if not self.trace or self.recorder is None:
             return None
@@ -299,6 +309,7 @@ class _Run:
         """Write a checkpoint, and forget what the solvers remember: a resumed run starts without it too."""
         partition = self.simulation.discretization.partition
         x, v = partition.gather(state.x), partition.gather(state.v)
+        affine = None if state.affine is None else partition.gather(state.affine)
         if self.recorder is not None and x is not None and v is not None:
             self.recorder.sync()
             write_checkpoint(
@@ -314,6 +325,7 @@ class _Run:
                     self._seconds(),
                     self.loaded.hash,
                     self.mesh_files,
+                    affine,
                 ),
             )
         self.simulation.reset()
@@ -325,9 +337,9 @@ class _Run:
             raise InputError(f"{self.folder}: the checkpoint is of another mesh; {START_ANEW}")
         self.control.current, self.control.streak = checkpoint.current_dt, checkpoint.streak
         self.n_frames = checkpoint.frames
-        return State(
-            partition.restrict(checkpoint.x), partition.restrict(checkpoint.v), checkpoint.time, checkpoint.step
-        )
+        affine = None if checkpoint.affine is None else partition.restrict(checkpoint.affine)
+        x, v = partition.restrict(checkpoint.x), partition.restrict(checkpoint.v)
+        return State(x, v, checkpoint.time, checkpoint.step, affine)
 
     def _seconds(self) -> float:
         return self.earlier_seconds + time.perf_counter() - self.begin

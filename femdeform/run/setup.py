@@ -16,7 +16,9 @@ from femdeform.fem.discretization import BodyInput, Discretization, discretize
 from femdeform.fem.incremental_potential import IncrementalPotential, State
 from femdeform.fem.thin_constraints import ThinConstraints, make_constraints
 from femdeform.materials import law_for, supports_codimension
+from femdeform.mpm.embedded_potential import EmbeddedPotential
 from femdeform.run.contacts import make_contacts, make_weak_contact
+from femdeform.run.embedding import embed
 from femdeform.run.links import make_links
 from femdeform.run.muscles import muscle_inputs
 from femdeform.scene import schema
@@ -36,7 +38,7 @@ class Simulation:
     meshes : dict of str to Mesh
     discretization : Discretization
     conditions : Conditions
-    problem : IncrementalPotential
+    problem : IncrementalPotential or EmbeddedPotential
     solver : StepSolver
     linear_solver : LinearSolver
     state : State
@@ -49,7 +51,7 @@ class Simulation:
     meshes: dict[str, Mesh]
     discretization: Discretization
     conditions: Conditions
-    problem: IncrementalPotential
+    problem: IncrementalPotential | EmbeddedPotential
     solver: StepSolver
     linear_solver: Any
     state: State
@@ -174,30 +176,36 @@ def build_simulation(scene: schema.DeformableScene, meshes: Mapping[str, Mesh], 
         raise InputError(
             f"solver.method: {scene.solver.method} runs on one rank, with threads (docs/methods/{page}.md)"
         )
+    if ranks > 1 and scene.grid is not None:
+        raise InputError("grid: bodies in a grid run on one rank, with threads (docs/methods/grid-embedded.md)")
     rows = make_links(scene, meshes, notices)
     discretization = discretize(bodies, cell_rank, comm, None if rows is None else rows.coupled())
     conditions = Conditions(scene, meshes, discretization)
     notices += conditions.notices
-    contacts, couplings = make_contacts(scene, meshes, discretization, notices)
     links = None
     if rows is not None:
         links = WeakConstraints(rows.local(discretization.local_numbers, discretization.partition.n_owned))
         links.begin_step(discretization.points, 0.0)
     quasistatic = scene.time.scheme == "quasistatic"
-    weak = make_weak_contact(scene, meshes, discretization, notices)
-    constraints = _thin_constraints(scene, discretization, conditions)
-    problem = IncrementalPotential(
-        discretization,
-        conditions,
-        quasistatic,
-        contacts,
-        couplings=couplings,
-        links=links,
-        weak_contact=weak,
-        constraints=constraints,
-    )
+    problem: IncrementalPotential | EmbeddedPotential
+    if scene.grid is not None:
+        problem = embed(scene, meshes, discretization, conditions, notices)
+    else:
+        contacts, couplings = make_contacts(scene, meshes, discretization, notices)
+        problem = IncrementalPotential(
+            discretization,
+            conditions,
+            quasistatic,
+            contacts,
+            couplings=couplings,
+            links=links,
+            weak_contact=make_weak_contact(scene, meshes, discretization, notices),
+            constraints=_thin_constraints(scene, discretization, conditions),
+        )
     linear_solver = make_linear_solver(scene.linear_solver, ranks, notices)
     solver = registry.resolve(registry.SOLVERS[scene.solver.method])(scene.solver, linear_solver)
     velocity = np.zeros_like(discretization.points) if quasistatic else conditions.initial_velocity.copy()
     state = State(discretization.points.copy(), velocity)
+    if isinstance(problem, EmbeddedPotential):
+        state = problem.initial_state(state.x, state.v)
     return Simulation(scene, dict(meshes), discretization, conditions, problem, solver, linear_solver, state, notices)

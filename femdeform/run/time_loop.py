@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from femdeform.fem.incremental_potential import IncrementalPotential, State
+from femdeform.mpm.embedded_potential import EmbeddedPotential
 from femdeform.step_problem import IterationObserver, StepResult, StepSolver
 
 # A remainder of the last step smaller than this part of dt is rounding, not a step.
@@ -13,6 +14,10 @@ _REMAINDER = 1e-9
 # Accepted steps of one size before the next larger one is tried. A step that was too hard is seldom followed by one
 # that is easy, and a failed attempt costs as much as many accepted steps.
 _PATIENCE = 3
+
+
+# What a run steps: bodies by the nodes of their meshes, or by those of a grid.
+Problem = IncrementalPotential | EmbeddedPotential
 
 
 @dataclass
@@ -55,6 +60,15 @@ class StepControl:
         left = self.end - time
         return left if left <= self.current * (1.0 + _REMAINDER) else self.current
 
+    def bounded_step(self, time: float, limit: float) -> float | None:
+        """The step to take where none longer than a limit may be: halved until it is not; None below `min_dt`."""
+        dt = self.next_step(time)
+        while dt > limit:
+            dt *= 0.5
+            if dt < self.min_dt:
+                return None
+        return dt
+
     def accepted(self) -> None:
         """Return towards the step asked for, once a few steps of the present size were accepted."""
         if self.current >= self.dt:
@@ -92,7 +106,7 @@ class LoopOutcome:
 
 
 def run_time_loop(
-    problem: IncrementalPotential,
+    problem: Problem,
     solver: StepSolver,
     control: StepControl,
     state: State,
@@ -100,12 +114,13 @@ def run_time_loop(
     on_accept: Callable[[State, StepResult, float], None],
     on_failure: Callable[[State, StepResult, float, bool], None],
     observe: Callable[[int], IterationObserver | None],
+    on_limit: Callable[[State, float, float], None] | None = None,
 ) -> LoopOutcome:
     """Step from a state to the end of the control's time.
 
     Parameters
     ----------
-    problem : IncrementalPotential
+    problem : IncrementalPotential or EmbeddedPotential
         What to solve.
     solver : StepSolver
         How to solve a step.
@@ -119,15 +134,21 @@ def run_time_loop(
         Called with the last accepted state, the result, the step size and whether the step will be retried.
     observe : callable
         Gives the observer of the iterations of a step number.
+    on_limit : callable, optional
+        Called with the last accepted state, the step size and the limit before a step that the problem makes shorter.
 
     Returns
     -------
     LoopOutcome
     """
     while not control.is_done(state.time):
-        dt = control.next_step(state.time)
-        problem.begin_step(state, dt)
-        result = solver.step(problem, state, observe(state.step + 1))
+        limit = problem.step_limit(state)
+        dt = control.bounded_step(state.time, limit)
+        if dt is None:
+            return LoopOutcome(state, False, _limit_text(state, limit, control))
+        if on_limit is not None and dt < control.next_step(state.time):
+            on_limit(state, dt, limit)
+        result = take_step(problem, solver, state, dt, observe(state.step + 1))
         if result.accepted:
             state = problem.accept(state, result.x)
             control.accepted()
@@ -138,6 +159,26 @@ def run_time_loop(
         if not retry:
             return LoopOutcome(state, False, _failure_text(state, dt, result, control))
     return LoopOutcome(state, True, "")
+
+
+def take_step(
+    problem: Problem, solver: StepSolver, state: State, dt: float, observe: IterationObserver | None = None
+) -> StepResult:
+    """Begin a step and solve it; one that the problem refuses in the end has not converged.
+
+    The positions of the result are the problem's unknowns.
+    """
+    problem.begin_step(state, dt)
+    result = solver.step(problem, problem.solver_state(state), observe)
+    refusal = problem.refusal(result.x) if result.accepted else ""
+    return replace(result, converged=False, is_fixed_work=False, reason=refusal) if refusal else result
+
+
+def _limit_text(state: State, limit: float, control: StepControl) -> str:
+    return (
+        f"step {state.step + 1} from t = {state.time:.6g} s may not be longer than {limit:.3g} s (grid.cfl: bodies "
+        f"move too fast for the cells); dt is not halved below min_dt = {control.min_dt:.3g} s"
+    )
 
 
 def _failure_text(state: State, dt: float, result: StepResult, control: StepControl) -> str:

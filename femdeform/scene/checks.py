@@ -12,6 +12,7 @@ from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
 from femdeform.scene.contact_checks import contact_findings
 from femdeform.scene.contact_schema import IPCMethod, WeakConstraintMethod
+from femdeform.scene.grid_checks import grid_findings
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.link_checks import link_findings
 from femdeform.scene.load import LoadedScene, load_scene, sort_faults
@@ -56,6 +57,7 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         *contact_findings(loaded.scene, meshes, frozenset(coarse)),
         *link_findings(loaded.scene, meshes, frozenset(coarse)),
         *muscle_findings(loaded.scene, meshes, frozenset(coarse)),
+        *grid_findings(loaded.scene),
         *_time_findings(loaded.scene),
         *_solver_findings(loaded.scene),
         *sweep_findings(loaded.scene, meshes, frozenset(coarse)),

@@ -19,6 +19,7 @@ from femdeform import registry
 from femdeform.scene.amplitude_schema import Amplitude, check_increasing
 from femdeform.scene.constraint_schema import BPXPBDSolver, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_schema import Contact, PenaltyMethod
+from femdeform.scene.grid_schema import GridEmbedding
 from femdeform.scene.link_schema import Link
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.mixed_schema import MixedFEMSolver
@@ -455,6 +456,11 @@ class DeformableScene(SceneModel):
     )
     obstacles: list[Obstacle] = Field(default_factory=list, description="rigid obstacles")
     contact: Contact = Field(default=PenaltyMethod(), description="how contact is treated")
+    grid: GridEmbedding | None = Field(
+        default=None,
+        description="a background grid with which all bodies move, and through which they touch; default: none, bodies "
+        "move with the nodes of their meshes",
+    )
     links: dict[Name, Link] = Field(
         default_factory=dict, description="springs, ties and attachments by name: energies that hold points together"
     )

@@ -6,7 +6,8 @@ constraints is found from F and K alone, and corners are read and written once. 
 01), in 2D (00, 11, 01). Where single components are prescribed each row of F has a mobility of its own: K is then a
 tuple of those. Fully prescribed corners have w = 0.
 
-Every function is compiled for its dimension; matrices are row-major tuples of 9 or 4.
+Every function is compiled for its dimension; matrices are row-major tuples of 9 or 4. Where `corners` are
+`GatheredCorners`, a cell has any number of them: see `gathered_corners`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,13 @@ from typing import Any
 from numba.extending import overload
 
 from femdeform.jit import njit, types
+from solvers.position_based.gathered_corners import (
+    gathered_deformation,
+    gathered_misfit,
+    gathered_mobility,
+    gathered_spread,
+    is_gathered,
+)
 
 _COMPILED_ONLY = "compiled code only"
 
@@ -55,6 +63,8 @@ def _deformation(e: Any, shift: Any, corners: Any, gradients: Any, dim: Any, x: 
         p0, p1, q0, q1 = gradients[e, 0], gradients[e, 1], gradients[e, 2], gradients[e, 3]
         return (d0 * p0 + e0 * q0, d0 * p1 + e0 * q1, d1 * p0 + e1 * q0, d1 * p1 + e1 * q1)
 
+    if is_gathered(corners):
+        return gathered_deformation(len(dim))
     return spatial if len(dim) == 3 else planar
 
 
@@ -143,6 +153,8 @@ def _mobility(e: Any, corners: Any, gradients: Any, masks: Any, dim: Any, x: Any
             _mobility_2d(g, (a * masks[e, 1], b * masks[e, 3], c * masks[e, 5])),
         )
 
+    if is_gathered(corners):
+        return gathered_mobility(len(dim), masked)
     if len(dim) == 3:
         return spatial_masked if masked else spatial
     return planar_masked if masked else planar
@@ -227,6 +239,8 @@ def _spread(e: Any, shift: Any, keep: Any, M: Any, corners: Any, gradients: Any,
         _push_2d(corners[e, 1], shift, (b * m[2], b * m[3]), keep, M, g[1], x)
         _push_2d(corners[e, 2], shift, (c * m[4], c * m[5]), keep, M, g[2], x)
 
+    if is_gathered(corners):
+        return gathered_spread(len(dim), not isinstance(masks, types.BaseTuple))
     if isinstance(masks, types.BaseTuple):
         return spatial if len(dim) == 3 else planar
     return spatial_masked if len(dim) == 3 else planar_masked
@@ -262,4 +276,6 @@ def _misfit(e: Any, s: Any, P: Any, corners: Any, gradients: Any, masks: Any, di
                     total += away * away / w
         return total
 
+    if is_gathered(corners):
+        return gathered_misfit(d, masked)
     return implementation

@@ -7,11 +7,12 @@ import numpy as np
 from femdeform.errors import InputError
 from femdeform.step_problem import Feature, LocalStepProblem
 from femdeform.types import FloatArray, IntArray
-from solvers.position_based import link_kernels, piola_kernels
-from solvers.position_based.cell_layout import CellBatch, lay_out_cells
+from solvers.position_based import link_kernels, piola_kernels, wall_kernels
+from solvers.position_based.cell_layout import CellBatch, CellLayout, lay_out_cells
 from solvers.position_based.link_sweep import LinkSweep
 from solvers.position_based.obstacle_kernels import ObstacleData, collect
 from solvers.position_based.thin_sweep import ThinSweep
+from solvers.position_based.wall_kernels import WallData, collect_rows
 
 # Sweeps after which base points, sums of many small changes, are made anew.
 _REFRESH = 100
@@ -25,6 +26,8 @@ class CellSweep:
     problem : LocalStepProblem
     rigid : bool
         PBD: infinite stiffness.
+    previous : CellSweep, optional
+        Of an earlier step of the same problem, whose colours may serve again.
 
     Attributes
     ----------
@@ -43,8 +46,9 @@ class CellSweep:
     link_mode = link_kernels.PLAIN
     knows = frozenset[Feature]({"links"})
 
-    def __init__(self, problem: LocalStepProblem, rigid: bool = False) -> None:
-        self._layout = lay_out_cells(problem, self.stride, self.knows)
+    def __init__(self, problem: LocalStepProblem, rigid: bool = False, previous: CellSweep | None = None) -> None:
+        earlier = None if previous is None else previous._layout
+        self._layout: CellLayout = lay_out_cells(problem, self.stride, self.knows, earlier)
         self.n_colors = self._layout.n_colors
         self.n_nodes, self.dim = problem.points.shape
         self._dim = (0,) * self.dim
@@ -75,6 +79,7 @@ class CellSweep:
         self._touched_rows: IntArray = np.empty(0, dtype=np.int64)
         self._touched_free = np.empty((0, 3), dtype=np.uint8)
         self._contact_forces = np.empty((0, 3))
+        self._walls: WallData | None = None
         self._target = np.zeros((n, self.dim))
         self._follower = np.zeros((n, self.dim))
 
@@ -108,7 +113,9 @@ class CellSweep:
         if self.stride > 4:
             fields[:, 4 : 4 + self.dim] = self._target
         contacts = problem.node_contacts()
-        self._obstacles = None
+        self._obstacles, self._walls = None, None
+        if problem.rows is not None:
+            self._walls = collect_rows(problem.rows, self._layout.numbering.place, self._free, self.dim)
         if contacts:
             data = collect(contacts, self._layout.numbering.place, self.dim)
             self._obstacles = data
@@ -152,6 +159,23 @@ class CellSweep:
             thin.sweep(self._x, self.h2, reverse)
         if self._links is not None and not self.links_first:
             self._links.sweep(self._x, self.h2, reverse)
+        walls = self._walls
+        if walls is not None:
+            wall_kernels.touch_walls(
+                walls.nodes,
+                walls.offsets,
+                walls.normals,
+                walls.targets,
+                walls.stiffness,
+                walls.two_sided,
+                self.blend,
+                self.stride > 4,
+                self.h2,
+                walls.free,
+                self.stride,
+                self._x,
+                walls.forces,
+            )
         data = self._obstacles
         if data is not None:
             piola_kernels.touch_obstacles(
@@ -198,8 +222,8 @@ class CellSweep:
         for k, batch in enumerate(self.batches):
             parts = np.empty((2, len(batch.volumes), dim * dim))
             self._measure(k, batch, parts[0], parts[1])
-            self._gather(batch, parts[0], held)
-            self._gather(batch, parts[1], missing)
+            held += batch.nodal_sums(parts[0], self.stride, n)
+            missing += batch.nodal_sums(parts[1], self.stride, n)
             self._measure_further(k, points, held, missing)
         if self._links is not None:
             self._links.defects(points, self.h2, held, missing)
@@ -218,22 +242,19 @@ class CellSweep:
             held[self._touched] += self.h2 * self._contact_forces[:, :dim]
             missing += self.h2 * push[order]
             missing[self._touched] += self.h2 * self._contact_forces[:, :dim]
+        if self._walls is not None:
+            push = np.zeros((n, dim))
+            if problem.rows is not None:
+                problem.rows.add_gradient(x, push)
+            held[self._walls.nodes] += self.h2 * self._walls.forces[:, :dim]
+            missing += self.h2 * push[order]
+            missing[self._walls.nodes] += self.h2 * self._walls.forces[:, :dim]
         free = self._free[:, :dim] != 0
         mass = np.divide(1.0, fields[:, 3:4], out=np.zeros((n, 1)), where=fields[:, 3:4] > 0.0)
         primary, secondary = np.zeros((n, dim)), np.zeros((n, dim))
         primary[order] = np.where(free, mass * (points - self._target) - held, 0.0) / self.h2
         secondary[order] = np.where(free, missing, 0.0) / self.h2
         return primary, secondary
-
-    def _gather(self, batch: CellBatch, matrices: FloatArray, out: FloatArray) -> None:
-        """Add ``M g_i`` of each cell's matrix (n_cells, dim dim) at its corners, (n_nodes, dim) by place."""
-        dim = self.dim
-        gradients = batch.gradients.reshape(-1, dim, dim)
-        gradients = np.concatenate([-gradients.sum(axis=1, keepdims=True), gradients], axis=1)
-        parts = np.einsum("eab,eib->eia", matrices.reshape(-1, dim, dim), gradients)
-        places = (batch.corners // self.stride).astype(np.int64).ravel()
-        for a in range(dim):
-            out[:, a] += np.bincount(places, parts[:, :, a].ravel(), minlength=len(out))
 
     def _measure(self, k: int, batch: CellBatch, held: FloatArray, missing: FloatArray) -> None:
         """Write what the cells of a batch hold and lack, (n_cells, dim dim) [kg m^2]; see `residual_kernels`."""
@@ -256,8 +277,8 @@ class BasedSweep(CellSweep):
 
     stride = 8
 
-    def __init__(self, problem: LocalStepProblem) -> None:
-        super().__init__(problem)
+    def __init__(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> None:
+        super().__init__(problem, previous=previous)
         dd = self.dim * self.dim
         self._held = [np.zeros((len(batch.volumes), dd)) for batch in self.batches]
         self._count = 0
@@ -286,12 +307,14 @@ class BasedSweep(CellSweep):
         dim, n = self.dim, self.n_nodes
         total = np.zeros((n, dim))
         for k, batch in enumerate(self.batches):
-            self._gather(batch, self._push(k), total)
+            total += batch.nodal_sums(self._push(k), self.stride, n)
             self._add_further(k, total)
         if self._links is not None:
             self._links.add_held(total)
         if self._obstacles is not None:
             total[self._touched] += self.h2 * self._contact_forces[:, :dim]
+        if self._walls is not None:
+            total[self._walls.nodes] += self.h2 * self._walls.forces[:, :dim]
         fields = self._fields()
         total *= fields[:, 3:4] * (self._free[:, :dim] != 0)
         fields[:, 4 : 4 + dim] = self._target + total

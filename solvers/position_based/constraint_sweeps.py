@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from femdeform.errors import InputError
@@ -16,6 +14,10 @@ from solvers.position_based.constraints import PAIRED, VANISHING
 
 # (1 - zeta) kappa that blended sweeps bear for kappa up to 3: half of what the fixed corotated law alone does.
 _BLEND = 0.05
+# Where a node belongs to hundreds of cells, as on a grid, each of which pulls it to its base point in a sweep: nothing
+# changes while the largest kappa is below the first number; beyond it, for the pulls of all cells act together,
+# (1 - zeta) kappa of every cell has to be the second one over that of the cells of a node.
+_CALM, _CROWDED = 0.4, 0.4
 
 
 class ConstraintSweep(CellSweep):
@@ -40,9 +42,14 @@ class ConstraintSweep(CellSweep):
     knows = frozenset[Feature]({"links", "constraints"})
 
     def __init__(
-        self, problem: LocalStepProblem, epsilon: float = 1e-10, rigid: bool = False, root: bool = False
+        self,
+        problem: LocalStepProblem,
+        epsilon: float = 1e-10,
+        rigid: bool = False,
+        root: bool = False,
+        previous: CellSweep | None = None,
     ) -> None:
-        super().__init__(problem, rigid)
+        super().__init__(problem, rigid, previous)
         self.epsilon, self.rigid, self.root = epsilon, rigid, root
         if not root:
             require_pairs(self.batches, VANISHING if rigid else PAIRED)
@@ -93,25 +100,33 @@ class BlendedSweep(BasedSweep):
         zeta: float | None = None,
         epsilon: float = 1e-10,
         keep_residual: bool = False,
+        previous: CellSweep | None = None,
     ) -> None:
         if keep_residual:
             self.link_mode = link_kernels.SOLVED
-        super().__init__(problem)
+        super().__init__(problem, previous)
         require_pairs(self.batches, PAIRED)
         self.epsilon, self.keep_residual = epsilon, keep_residual
         self._wanted = 0.0 if keep_residual else zeta
         self.multipliers = [np.zeros((len(batch.volumes), 2)) for batch in self.batches]
-        # Stiffness numbers for h = 1 s.
-        self._unit_kappa = [_unit_kappa(problem, batch) for batch in self.batches]
         self.zeta = [np.zeros(len(batch.volumes)) for batch in self.batches]
 
     def _forget(self) -> None:
         super()._forget()
         for multipliers in self.multipliers:
             multipliers[:] = 0.0
-        for zeta, kappa in zip(self.zeta, self._unit_kappa, strict=True):
-            zeta[:] = np.maximum(1.0 - _BLEND / (self.h2 * kappa), 0.0) if self._wanted is None else self._wanted
+        largest = max((float(batch.unit_kappa.max()) for batch in self.batches), default=0.0)
+        calm = self.h2 * largest <= _CALM
+        for zeta, batch in zip(self.zeta, self.batches, strict=True):
+            zeta[:] = self._safe_zeta(batch, calm) if self._wanted is None else self._wanted
         self.blend = max((float(zeta.max()) for zeta in self.zeta if zeta.size), default=0.0)
+
+    def _safe_zeta(self, batch: CellBatch, calm: bool) -> FloatArray:
+        """Part of XPBD by the stiffness number of each cell."""
+        kappa = self.h2 * batch.unit_kappa
+        crowded = (batch.crowds > 0.0) & (not calm)
+        bound = np.where(crowded, _CROWDED / np.maximum(batch.crowds, 1.0), _BLEND)
+        return np.asarray(np.maximum(1.0 - bound / kappa, 0.0))
 
     def _push(self, k: int) -> FloatArray:
         return self._held[k]
@@ -152,19 +167,3 @@ def require_pairs(batches: list[CellBatch], known: tuple[type, ...]) -> None:
         if not isinstance(batch.law, known):
             names = ", ".join(kind.__name__ for kind in known)
             raise InputError(f"material.law: no constraints of {type(batch.law).__name__}; known are {names}")
-
-
-def _unit_kappa(problem: LocalStepProblem, batch: CellBatch) -> FloatArray:
-    """E / (rho dx^2) of each cell [1/s^2], dx being its shortest edge; E = 3 mu, that of an incompressible material."""
-    points, cells = problem.points, batch.cells
-    n = cells.shape[1]
-    shortest = np.full(len(cells), math.inf)
-    for i in range(n):
-        for j in range(i):
-            edges = points[cells[:, i]] - points[cells[:, j]]
-            shortest = np.minimum(shortest, np.einsum("ea,ea->e", edges, edges))
-    share = np.zeros(len(points))
-    for group in problem.local_cells(BlendedSweep.knows):
-        np.add.at(share, group.cells, (group.volumes / n)[:, None])
-    density = (problem.lumped_mass[cells] / share[cells]).mean(axis=1)
-    return np.asarray(3.0 * batch.law.mu / (density * shortest))

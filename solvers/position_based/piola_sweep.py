@@ -9,7 +9,7 @@ from femdeform.types import FloatArray
 from solvers.position_based import link_kernels, piola_kernels, residual_kernels
 from solvers.position_based.cell_fibres import CellFibres
 from solvers.position_based.cell_layout import CellBatch
-from solvers.position_based.cell_sweep import BasedSweep
+from solvers.position_based.cell_sweep import BasedSweep, CellSweep
 from solvers.position_based.nodal_blocks import is_bounded
 
 
@@ -32,9 +32,14 @@ class PiolaSweep(BasedSweep):
     knows = frozenset[Feature]({"links", "fibres"})
 
     def __init__(
-        self, problem: LocalStepProblem, local: int = 3, exact: bool = False, search: bool | None = None
+        self,
+        problem: LocalStepProblem,
+        local: int = 3,
+        exact: bool = False,
+        search: bool | None = None,
+        previous: CellSweep | None = None,
     ) -> None:
-        super().__init__(problem)
+        super().__init__(problem, previous)
         self.local, self.exact = local, exact
         self._search = [(exact or not is_bounded(batch.law)) if search is None else search for batch in self.batches]
         self._fibres = [

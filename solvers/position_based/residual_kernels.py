@@ -37,7 +37,7 @@ def measure_pairs(
     See `constraint_kernels.project_pairs`; D are derivatives at the present F.
     """
     k1, k2 = stiffnesses(law)
-    n = corners.shape[0]
+    n = volumes.shape[0]
     for c in prange((n + CHUNK - 1) // CHUNK):
         for e in range(c * CHUNK, min((c + 1) * CHUNK, n)):
             F = deformation(e, 0, corners, gradients, dim, x)
@@ -64,7 +64,7 @@ def measure_roots(
     missing: Any,
 ) -> None:
     """As `measure_pairs`, of the one constraint of `constraint_kernels.project_roots`."""
-    n = corners.shape[0]
+    n = volumes.shape[0]
     for c in prange((n + CHUNK - 1) // CHUNK):
         for e in range(c * CHUNK, min((c + 1) * CHUNK, n)):
             C, D = root_constraint(deformation(e, 0, corners, gradients, dim, x), law, epsilon)
@@ -86,7 +86,7 @@ def measure_stresses(
     missing: Any,
 ) -> None:
     """``-h^2 V P`` of each cell's stress P, and ``h^2 V (P(F) - P)`` (n_cells, dim dim) [kg m^2]."""
-    n = corners.shape[0]
+    n = volumes.shape[0]
     for c in prange((n + CHUNK - 1) // CHUNK):
         for e in range(c * CHUNK, min((c + 1) * CHUNK, n)):
             F = deformation(e, 0, corners, gradients, dim, x)

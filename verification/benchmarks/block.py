@@ -74,6 +74,7 @@ class Block:
         scene = block_scene(cells, quasistatic, linear_solver)
         mesh = build_mesh(scene.bodies["block"].mesh, Path())
         self.simulation: Simulation = build_simulation(scene, {"block": mesh}, parallel.world())
+        assert isinstance(self.simulation.problem, IncrementalPotential)
         self.problem: IncrementalPotential = self.simulation.problem
 
     @property

@@ -24,6 +24,18 @@ class Fake:
     accepted: list[float] = field(default_factory=list)
     failures: list[tuple[float, bool]] = field(default_factory=list)
     dt: float = 0.0
+    limit: Callable[[float], float] = lambda time: np.inf
+    refuses: Callable[[float], str] = lambda dt: ""
+    limited: list[tuple[float, float]] = field(default_factory=list)
+
+    def solver_state(self, state: State) -> State:
+        return state
+
+    def step_limit(self, state: State) -> float:
+        return self.limit(state.time)
+
+    def refusal(self, x: Any) -> str:
+        return self.refuses(self.dt)
 
     def begin_step(self, state: State, dt: float) -> None:
         self.dt = dt
@@ -46,6 +58,7 @@ class Fake:
             on_accept=lambda state, result, dt: self.accepted.append(dt),
             on_failure=lambda state, result, dt, retry: self.failures.append((dt, retry)),
             observe=lambda step: None,
+            on_limit=lambda state, dt, limit: self.limited.append((dt, limit)),
         )
 
 
@@ -170,3 +183,32 @@ def test_nothing_left_to_do() -> None:
 def test_default_smallest_step() -> None:
     assert default_min_dt(0.64, None) == 0.01
     assert default_min_dt(0.64, 0.3) == 0.3
+
+
+def test_a_limit_of_the_problem_halves_the_step_for_as_long_as_it_holds() -> None:
+    fake = Fake(never, limit=lambda time: 0.03 if time < 0.19 else np.inf)
+    outcome = fake.run(control(end=0.4))
+    assert outcome.finished
+    np.testing.assert_allclose(fake.accepted, [0.025] * 8 + [0.1, 0.1])
+    assert fake.limited == [(0.025, 0.03)] * 8
+    assert fake.failures == []
+
+
+def test_a_limit_below_the_smallest_step_ends_the_run() -> None:
+    fake = Fake(never, limit=lambda time: 0.001 if time > 0.15 else 1.0)
+    outcome = fake.run(control(min_dt=0.01))
+    assert not outcome.finished
+    assert "step 3 from t = 0.2 s may not be longer than 0.001 s" in outcome.reason
+    assert outcome.state.step == 2
+
+
+def test_a_solved_step_that_the_problem_refuses_is_halved() -> None:
+    fake = Fake(never, refuses=lambda dt: "too far" if dt > 0.06 else "")
+    outcome = fake.run(control(end=0.2))
+    assert outcome.finished
+    np.testing.assert_allclose(fake.accepted[0], 0.05)
+    assert fake.failures[0] == (0.1, True)
+    stuck = Fake(never, refuses=lambda dt: "too far")
+    outcome = stuck.run(control(halve=False))
+    assert not outcome.finished
+    assert "too far" in outcome.reason

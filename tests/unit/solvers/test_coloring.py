@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from femdeform.scene.mesh_schema import BlockMesh
+from femdeform.types import IntArray
 from meshes.structured import block
-from solvers.coloring import Incidence, color, incidence, is_valid, recolor
+from solvers.coloring import Incidence, color, color_cells, incidence, is_valid, recolor
 
 
 def box(cells: int, split: int = 5) -> tuple[NDArray[Any], int]:
@@ -104,3 +105,32 @@ def test_new_items_get_a_colour() -> None:
     mended = recolor(graph, holes, np.array([5, 17, 40]))
     assert clashes(graph, mended) == 0
     assert mended.min() == 0
+
+
+def test_colours_of_cells_with_many_nodes() -> None:
+    """Valid, as few as by the other greedy way, and kept where the nodes have changed little."""
+    rng = np.random.default_rng(0)
+    n_nodes, sizes = 200, rng.integers(4, 9, 1400)
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    # Each cell in a neighbourhood of its own, so that many share nodes.
+    nodes = np.concatenate([rng.choice(40, size, replace=False) + 40 * (e % 5) for e, size in enumerate(sizes)])
+    graph = Incidence(offsets, nodes, *_transposed(offsets, nodes, n_nodes)).transposed()
+    colors = color_cells(offsets, nodes, n_nodes, None)
+    assert is_valid(graph, colors)
+    assert colors.max() > 64  # more than one word of bits
+    np.testing.assert_array_equal(colors, color(graph))
+
+    moved = nodes.copy()
+    first = offsets[:-1][::80]
+    moved[first] = (moved[first] + 40) % n_nodes
+    mended = color_cells(offsets, moved, n_nodes, colors)
+    changed = Incidence(offsets, moved, *_transposed(offsets, moved, n_nodes)).transposed()
+    assert is_valid(changed, mended)
+    assert 0 < np.count_nonzero(mended != colors) < 60
+    np.testing.assert_array_equal(color_cells(offsets, nodes, n_nodes, colors), colors)
+
+
+def _transposed(offsets: IntArray, nodes: IntArray, n_nodes: int) -> tuple[IntArray, IntArray]:
+    cells = np.repeat(np.arange(offsets.size - 1), np.diff(offsets))
+    order = np.argsort(nodes, kind="stable")
+    return np.concatenate([[0], np.cumsum(np.bincount(nodes, minlength=n_nodes))]), cells[order]
