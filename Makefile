@@ -3,6 +3,7 @@
 #   make setup    system packages (where apt and root or sudo are there), .venv, Python packages, petsc4py
 #   make demo     set up, run scenes/rubber-mount.yaml, leave frames, a picture, plots and a report
 #   make test     set up, static checks, the pages, all tests, those on two MPI ranks included
+#   make gallery  the large scenes of the gallery, minutes each, against what they expect
 #   make lint     set up, ruff, mypy --strict and the import contracts
 #   make docs     set up, build the pages of docs/ into site/; a broken link or example of a page fails
 #   make peers    a separate environment with the packages that the benchmarks compare with
@@ -89,6 +90,11 @@ clean-demo:
 
 test: lint docs
 	$(BIN)/python -m pytest
+
+# Scenes that take minutes each, at full size, against what they expect.
+.PHONY: gallery
+gallery: setup
+	FEMDEFORM_GALLERY=1 $(BIN)/python -m pytest -m gallery --timeout 3600
 
 lint: setup
 	$(BIN)/ruff check .

@@ -28,10 +28,13 @@ MPI_ENVIRONMENT = {
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs PETSc or MPI where they are missing."""
+    """Skip what needs PETSc or MPI where they are missing, and whole scenes of the gallery unless they are asked for."""
+    whole_scenes = bool(os.environ.get("FEMDEFORM_GALLERY"))
     has_petsc = importlib.util.find_spec("petsc4py") is not None
     has_mpi = importlib.util.find_spec("mpi4py") is not None and shutil.which("mpiexec") is not None
     for item in items:
+        if item.get_closest_marker("gallery") and not whole_scenes:
+            item.add_marker(pytest.mark.skip(reason="a scene of minutes; set FEMDEFORM_GALLERY=1, or `make gallery`"))
         if item.get_closest_marker("petsc") and not has_petsc:
             item.add_marker(pytest.mark.skip(reason="petsc4py is not installed"))
         if item.get_closest_marker("mpi") and not (has_petsc and has_mpi):

@@ -15,7 +15,7 @@ from femdeform.scene.load import load_scene
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 # Folders whose scenes have a module of their own, here and there; the scenes of all others are run below.
-ELSEWHERE = {"mixed": "test_mixed_scenes.py", "pbng": "test_pbng_scenes.py"}
+ELSEWHERE = {"mixed": "test_mixed_scenes.py", "pbng": "test_pbng_scenes.py", "xpbd": "test_xpbd_scenes.py"}
 # Batches are checked with the plans of runs.
 COMPARISONS = [path for path in sorted(SCENES.glob("studies/*.yaml")) if is_comparison(path)]
 NAMES = sorted(

@@ -19,7 +19,7 @@ from femdeform.scene.meshing import load_meshes
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCENES = REPOSITORY / "scenes" / "mixed"
 NAMES = sorted(path.stem for path in SCENES.glob("*.yaml"))
-DATA = Path(os.environ.get("FEMDEFORM_DATA", REPOSITORY.parent / "shared" / "data" / "meshes"))
+DATA = Path(os.environ.get("FEMDEFORM_DATA", REPOSITORY.parent / "shared" / "data")) / "meshes"
 # The paper's meshes: scene, body, file, how it is taken.
 REAL = {
     "bunny-solid": ("bunny", "coarse_bunny.mesh", "scale: 0.001"),
@@ -83,7 +83,7 @@ def real(name: str) -> list[str]:
     """What puts the paper's mesh in place of the recipe's."""
     member, file, how = REAL[name]
     if not (DATA / file).is_file():
-        pytest.skip(f"{file} is not in {DATA}; FEMDEFORM_DATA names the folder of the paper's meshes")
+        pytest.skip(f"{file} is not in {DATA}; FEMDEFORM_DATA names the folder above")
     found = [f"bodies.{member}.mesh={{file: {DATA / file}, {how}}}"]
     if name == "bunny-solid":
         found.append(f"bodies.bunny.skin={{file: {DATA / 'bunny.mesh'}, cell_type: triangle, drop_unreferenced: true}}")

@@ -31,7 +31,7 @@ def test_first_steps_of_the_muscle_box(tmp_path: Path) -> None:
     assert run(BOX, tmp_path / "result", "time.end=0.09", "expect={}") == 0
 
 
-@pytest.mark.slow
+@pytest.mark.gallery
 @pytest.mark.parametrize("scene", [MUSCLE, BOX], ids=lambda path: path.stem)
 def test_meets_what_it_expects(scene: Path, tmp_path: Path) -> None:
     assert run(scene, tmp_path / "result") == 0
@@ -40,7 +40,7 @@ def test_meets_what_it_expects(scene: Path, tmp_path: Path) -> None:
 def real_biceps() -> str:
     path = DATA / "biceps" / "biceps.npz"
     if not path.is_file():
-        pytest.skip(f"biceps/biceps.npz is not in {DATA}; FEMDEFORM_DATA names the folder of the meshes")
+        pytest.skip(f"biceps/biceps.npz is not in {DATA}; FEMDEFORM_DATA names another folder")
     return f"bodies.arm.mesh.file={path}"
 
 
@@ -48,6 +48,6 @@ def test_biceps_has_no_faults(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(BICEPS), "--set", real_biceps()]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.gallery
 def test_biceps_meets_what_it_expects(tmp_path: Path) -> None:
     assert run(BICEPS, tmp_path / "result", real_biceps()) == 0

@@ -1,4 +1,4 @@
-"""Ropes, cloth and balloons of constraints: every scene meets its own `expect:` block."""
+"""The scenes of scenes/xpbd: ropes, cloth, a balloon, bodies in a grid; those of muscles have a module of their own."""
 
 from __future__ import annotations
 
@@ -9,11 +9,25 @@ from pathlib import Path
 
 import pytest
 
+from femdeform.cli import main
+from femdeform.scene.load import load_scene
+
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "xpbd"
+NAMES = sorted({path.stem for path in SCENES.glob("*.yaml")} - {"muscle-box"})
+# Scenes of a few seconds.
+QUICK = {"rope", "hanging-cloth", "balloon"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scene_has_no_faults_and_expects_something(name: str) -> None:
+    assert main(["check", str(SCENES / f"{name}.yaml")]) == 0
+    assert load_scene(SCENES / f"{name}.yaml").scene.expect is not None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["rope", "hanging-cloth", "balloon"])
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.gallery) for name in NAMES]
+)
 def test_scene(name: str, cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
     out = tmp_path / "result"
     finished = cli("run", SCENES / f"{name}.yaml", "--out", out)
