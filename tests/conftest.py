@@ -28,7 +28,7 @@ MPI_ENVIRONMENT = {
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what needs PETSc or MPI where they are missing, and whole scenes of the gallery unless they are asked for."""
+    """Skip what needs PETSc or MPI where they are missing, and whole scenes unless they are asked for."""
     whole_scenes = bool(os.environ.get("FEMDEFORM_GALLERY"))
     has_petsc = importlib.util.find_spec("petsc4py") is not None
     has_mpi = importlib.util.find_spec("mpi4py") is not None and shutil.which("mpiexec") is not None
