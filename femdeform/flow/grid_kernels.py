@@ -26,7 +26,8 @@ def apply_operator(diagonal: Any, x: Any, out: Any) -> None:
     out : (nx + 2, ny + 2, nz + 2) float
         A x.
     """
-    for i in prange(1, x.shape[0] - 1):
+    for plane in prange(x.shape[0] - 2):
+        i = plane + 1
         for j in range(1, x.shape[1] - 1):
             for k in range(1, x.shape[2] - 1):
                 d = diagonal[i, j, k]

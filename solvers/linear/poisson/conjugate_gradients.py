@@ -36,9 +36,7 @@ class ConjugateGradients:
     One process, with threads. The residual cannot fall below rounding of A x; the answer says so.
     """
 
-    def __init__(
-        self, system: PressureSystem, preconditioner: Preconditioner | None = None, name: str = "cg"
-    ) -> None:
+    def __init__(self, system: PressureSystem, preconditioner: Preconditioner | None = None, name: str = "cg") -> None:
         self.system = system
         self.preconditioner = preconditioner
         self.name = name

@@ -25,7 +25,7 @@ def factorize(diagonal: Any, modification: Any, inverse: Any) -> None:
                 if d == 0:
                     inverse[i, j, k] = 0.0
                     continue
-                # The coupling to the voxel before along each axis is 1 where it has an unknown: its inverse is then > 0.
+                # A voxel before that has no unknown has an inverse of zero, and drops out.
                 a, b, c = inverse[i - 1, j, k], inverse[i, j - 1, k], inverse[i, j, k - 1]
                 pivot = d - a * a - b * b - c * c
                 if modification > 0.0:

@@ -44,9 +44,7 @@ class PoissonSolver(Protocol):
 
     name: str
 
-    def solve(
-        self, b: GridArray, tolerance: float, max_iterations: int, x: GridArray | None = None
-    ) -> PoissonResult:
+    def solve(self, b: GridArray, tolerance: float, max_iterations: int, x: GridArray | None = None) -> PoissonResult:
         """Solve to |r| <= tolerance |b|; `x` is where to start, if not at zero. b has no mean on closed components."""
 
     def destroy(self) -> None:

@@ -19,19 +19,21 @@ _COARSEST_SIZE = 4
 @dataclass
 class _Level:
     diagonal: Any
-    weights: tuple[Any, ...]
+    weights: Any
     b: GridArray
     x: GridArray
 
     def sweep(self, first: int) -> None:
         if self.weights:
-            kernels.sweep(self.diagonal, *self.weights, self.b, self.x, first)
+            wx, wy, wz = self.weights
+            kernels.sweep(self.diagonal, wx, wy, wz, self.b, self.x, first)
         else:
             kernels.sweep_finest(self.diagonal, self.b, self.x, first)
 
     def restrict(self, coarse: GridArray) -> None:
         if self.weights:
-            kernels.restrict(self.diagonal, *self.weights, self.b, self.x, coarse)
+            wx, wy, wz = self.weights
+            kernels.restrict(self.diagonal, wx, wy, wz, self.b, self.x, coarse)
         else:
             kernels.restrict_finest(self.diagonal, self.b, self.x, coarse)
 
@@ -39,10 +41,11 @@ class _Level:
 class Multigrid:
     """A symmetric V-cycle: an approximate inverse for conjugate gradients.
 
-    Aggregates of 2^d voxels with constant values, Galerkin's coarse matrices, which keep seven points, corrections twice
-    as large, red-black Gauss-Seidel with the colours turned round after the correction. The part of a coarse diagonal
-    that belongs to air is multiplied by (2^k + 2)/(2^k + 1) from level k - 1 to level k: air begins half a fine voxel
-    beyond the last fluid voxel however coarse the level is, and constants alone would put it half a coarse one away.
+    Aggregates of 2^d voxels with constant values, Galerkin's coarse matrices, which keep seven points, corrections
+    twice as large, red-black Gauss-Seidel with the colours turned round after the correction. The part of a coarse
+    diagonal that belongs to air is multiplied by (2^k + 2)/(2^k + 1) from level k - 1 to level k: air begins half a
+    fine voxel beyond the last fluid voxel however coarse the level is, and constants alone would put it half a coarse
+    one away.
 
     Parameters
     ----------
@@ -69,7 +72,7 @@ class Multigrid:
         unknown = system.unknown
         weights = [(unknown & shifted(unknown, axis, 1)).astype(float) for axis in range(3)]
         air = (system.diagonal - _row_sums(weights)) * unknown
-        shape = system.shape
+        shape: tuple[int, ...] = system.shape
         while max(shape) > _COARSEST_SIZE:
             shape = tuple((n + 1) // 2 for n in shape)
             k = len(self.levels)

@@ -19,7 +19,8 @@ def sweep_finest(diagonal: Any, b: Any, x: Any, first: Any) -> None:
     """One sweep on level 0, colour `first` (0 or 1) and then the other."""
     for half in range(2):
         colour = (first + half) % 2
-        for i in prange(1, x.shape[0] - 1):
+        for plane in prange(x.shape[0] - 2):
+            i = plane + 1
             for j in range(1, x.shape[1] - 1):
                 for k in range(1 + (i + j + 1 + colour) % 2, x.shape[2] - 1, 2):
                     d = diagonal[i, j, k]
@@ -40,7 +41,8 @@ def sweep(diagonal: Any, wx: Any, wy: Any, wz: Any, b: Any, x: Any, first: Any) 
     """One sweep on a coarser level."""
     for half in range(2):
         colour = (first + half) % 2
-        for i in prange(1, x.shape[0] - 1):
+        for plane in prange(x.shape[0] - 2):
+            i = plane + 1
             for j in range(1, x.shape[1] - 1):
                 for k in range(1 + (i + j + 1 + colour) % 2, x.shape[2] - 1, 2):
                     d = diagonal[i, j, k]
@@ -61,9 +63,7 @@ def _residual_finest(diagonal: Any, b: Any, x: Any, i: Any, j: Any, k: Any) -> A
     d = diagonal[i, j, k]
     if d == 0:
         return x[i, j, k] * 0
-    around = (
-        x[i - 1, j, k] + x[i + 1, j, k] + x[i, j - 1, k] + x[i, j + 1, k] + x[i, j, k - 1] + x[i, j, k + 1]
-    )
+    around = x[i - 1, j, k] + x[i + 1, j, k] + x[i, j - 1, k] + x[i, j + 1, k] + x[i, j, k - 1] + x[i, j, k + 1]
     return b[i, j, k] - d * x[i, j, k] + around
 
 
@@ -84,7 +84,8 @@ def _residual(diagonal: Any, wx: Any, wy: Any, wz: Any, b: Any, x: Any, i: Any, 
 def restrict_finest(diagonal: Any, b: Any, x: Any, coarse: Any) -> None:
     """Sum the residual of level 0 over the voxels of each coarse one."""
     nx, ny, nz = x.shape[0] - 1, x.shape[1] - 1, x.shape[2] - 1
-    for ci in prange(1, coarse.shape[0] - 1):
+    for plane in prange(coarse.shape[0] - 2):
+        ci = plane + 1
         for cj in range(1, coarse.shape[1] - 1):
             for ck in range(1, coarse.shape[2] - 1):
                 total = coarse[0, 0, 0] * 0
@@ -99,7 +100,8 @@ def restrict_finest(diagonal: Any, b: Any, x: Any, coarse: Any) -> None:
 def restrict(diagonal: Any, wx: Any, wy: Any, wz: Any, b: Any, x: Any, coarse: Any) -> None:
     """Sum the residual of a coarser level over the voxels of each voxel of the next."""
     nx, ny, nz = x.shape[0] - 1, x.shape[1] - 1, x.shape[2] - 1
-    for ci in prange(1, coarse.shape[0] - 1):
+    for plane in prange(coarse.shape[0] - 2):
+        ci = plane + 1
         for cj in range(1, coarse.shape[1] - 1):
             for ck in range(1, coarse.shape[2] - 1):
                 total = coarse[0, 0, 0] * 0
@@ -113,7 +115,8 @@ def restrict(diagonal: Any, wx: Any, wy: Any, wz: Any, b: Any, x: Any, coarse: A
 @njit(parallel=True)
 def prolong(coarse: Any, diagonal: Any, factor: Any, x: Any) -> None:
     """Add `factor` times the coarse value of each voxel that has an unknown."""
-    for i in prange(1, x.shape[0] - 1):
+    for plane in prange(x.shape[0] - 2):
+        i = plane + 1
         for j in range(1, x.shape[1] - 1):
             for k in range(1, x.shape[2] - 1):
                 if diagonal[i, j, k] > 0:
