@@ -1,0 +1,177 @@
+"""Smoke that rises in air: the step of an incompressible flow with buoyancy, sources and moving solids."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from femdeform.flow.mac_grid import MACGrid, PressureSolver, ProjectionReport
+from femdeform.flow.pressure_system import AIR, SOLID, PressureSystem
+from femdeform.types import FloatArray
+
+# Voxels that what is advected may cross in a step: beyond, trajectories of one midpoint step mean little.
+LARGEST_COURANT = 3.0
+
+
+@dataclass(frozen=True)
+class Source:
+    """A region that gives off smoke.
+
+    Attributes
+    ----------
+    voxels : (nx, ny, nz) bool
+    density : float
+        Density of the smoke there [-].
+    velocity : tuple of float, optional
+        Velocity that the region is given [m/s]; None leaves it to the flow.
+    """
+
+    voxels: NDArray[np.bool_]
+    density: float = 1.0
+    velocity: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class MovingSolid:
+    """A solid that turns and moves as one.
+
+    Attributes
+    ----------
+    voxels : callable
+        Time [s] to (nx, ny, nz) bool.
+    velocity : callable
+        Time [s] and points (..., dim) [m] to velocities of the same shape [m/s].
+    """
+
+    voxels: Callable[[float], NDArray[np.bool_]]
+    velocity: Callable[[float, FloatArray], FloatArray]
+
+
+@dataclass
+class SmokeFlow:
+    """Smoke carried by an incompressible flow without viscosity.
+
+    A step: velocity and smoke are carried along, buoyancy lifts the smoke, solids push, a pressure takes the divergence
+    away. Steps in which something would cross more than `LARGEST_COURANT` voxels are divided.
+
+    Attributes
+    ----------
+    grid : MACGrid
+    solid : (nx, ny, nz) bool
+        Voxels that are solid and stay.
+    air : (nx, ny, nz) bool
+        Voxels of air at constant pressure, through which fluid comes and goes.
+    make_solver : callable
+        `PressureSystem` to a solver; called when the voxels' labels change.
+    buoyancy : float
+        Acceleration of smoke of density 1 upwards, along y [m/s^2].
+    sources : sequence of Source
+    moving : MovingSolid, optional
+    tolerance : float
+        Of the pressure: residual over its right-hand side [-].
+    max_iterations : int
+
+    Limitations
+    -----------
+    As those of `MACGrid`. Smoke that a moving solid runs over is lost.
+    """
+
+    grid: MACGrid
+    solid: NDArray[np.bool_]
+    air: NDArray[np.bool_]
+    make_solver: Callable[[PressureSystem], PressureSolver]
+    buoyancy: float = 2.0
+    sources: Sequence[Source] = ()
+    moving: MovingSolid | None = None
+    tolerance: float = 1e-4
+    max_iterations: int = 1000
+    time: float = 0.0
+    density: FloatArray = field(init=False)
+    system: PressureSystem = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.density = np.zeros(self.grid.shape)
+        self._solver: PressureSolver | None = None
+        self._labels: NDArray[np.uint8] | None = None
+        self._take_labels()
+
+    def _take_labels(self) -> None:
+        """Make the pressure system of this moment; nothing if no voxel has changed."""
+        labels = np.where(self.air, AIR, 0).astype(np.uint8)
+        labels[self.solid] = SOLID
+        if self.moving is not None:
+            labels[self.moving.voxels(self.time)] = SOLID
+        if self._labels is not None and np.array_equal(labels, self._labels):
+            return
+        self._labels = labels
+        self.system = PressureSystem(labels)
+        self._solver = self.make_solver(self.system)
+
+    @property
+    def is_solid(self) -> NDArray[np.bool_]:
+        """Voxels that are solid now, (nx, ny, nz)."""
+        return np.asarray(self.system.labels[1:-1, 1:-1, 1:-1] == SOLID)
+
+    def n_substeps(self, dt: float) -> int:
+        """Number of parts that a step has to be taken in."""
+        return max(1, math.ceil(dt * self.grid.largest_speed() / (LARGEST_COURANT * self.grid.spacing)))
+
+    def step(self, dt: float) -> list[ProjectionReport]:
+        """Advance by a step [s], in parts where speed asks for it; what each projection has done."""
+        n = self.n_substeps(dt)
+        return [self._advance(dt / n) for _ in range(n)]
+
+    def _advance(self, dt: float) -> ProjectionReport:
+        grid = self.grid
+        is_solid = self.is_solid
+        density = grid.carry(self.density, is_solid, dt)
+        grid.advect(dt)
+        self.time += dt
+        self._take_labels()
+        is_solid = self.is_solid
+        density[is_solid] = 0.0
+        self.density = density
+        for source in self.sources:
+            self._apply(source, is_solid)
+        self._lift(dt)
+        self.hold_solids()
+        assert self._solver is not None
+        report = grid.project(self.system, self._solver, self.tolerance, self.max_iterations)
+        grid.fill_air(self.system)
+        return report
+
+    def _apply(self, source: Source, is_solid: NDArray[np.bool_]) -> None:
+        voxels = source.voxels & ~is_solid
+        self.density[voxels] = source.density
+        if source.velocity is not None:
+            for axis, value in enumerate(source.velocity):
+                low, high = [slice(None)] * 3, [slice(None)] * 3
+                low[axis], high[axis] = slice(0, -1), slice(1, None)
+                component = self.grid.velocity[axis]
+                component[tuple(low)][voxels] = value
+                component[tuple(high)][voxels] = value
+
+    def _lift(self, dt: float) -> None:
+        """Buoyancy along y, on faces from the mean of the voxels beside them."""
+        self.grid.velocity[1][:, 1:-1] += 0.5 * dt * self.buoyancy * (self.density[:, 1:] + self.density[:, :-1])
+
+    def hold_solids(self) -> None:
+        """Give faces of solids the solids' velocity."""
+        grid = self.grid
+        grid.hold_at_solids(self.system)
+        if self.moving is None:
+            return
+        moving = np.pad(self.moving.voxels(self.time) & ~self.solid, 1)
+        for axis in range(grid.dim):
+            low, high = [slice(1, -1)] * 3, [slice(1, -1)] * 3
+            low[axis], high[axis] = slice(0, -1), slice(1, None)
+            held = moving[tuple(low)] | moving[tuple(high)]
+            # Where a resting solid, or a wall, is beside the moving one, the resting one holds.
+            resting = np.pad(self.solid, 1, constant_values=True)
+            held &= ~(resting[tuple(low)] | resting[tuple(high)])
+            velocity = self.moving.velocity(self.time, grid.face_centres(axis))
+            grid.velocity[axis][held] = velocity[..., axis][held]

@@ -1,0 +1,1 @@
+"""Solvers of the pressure system of a MAC grid."""
