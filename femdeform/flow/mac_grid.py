@@ -169,6 +169,7 @@ class MACGrid:
         tolerance : float
             Residual of the pressure over its right-hand side [-].
         max_iterations : int
+            Of the solver.
 
         Returns
         -------

@@ -64,6 +64,7 @@ def voxels_inside(grid: MACGrid, points: FloatArray, facets: IntArray) -> NDArra
     Parameters
     ----------
     grid : MACGrid
+        Its centres are asked for.
     points : (n, dim) float64
         Corners [m].
     facets : (m, dim) int64
