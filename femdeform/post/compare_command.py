@@ -81,7 +81,7 @@ def compare_command(
             for text in comparison.notices:
                 status.notice(f"note: {text}")
             status.show("writing tables and pictures")
-            write_comparison(comparison, folder, drawn_files(plan.steps))
+            write_comparison(comparison, folder, drawn_files(plan.steps, is_split=bool(comparison.split_labels)))
             for text in write_drawings(comparison, folder):
                 status.notice(f"note: {text}")
     except BaseException:

@@ -29,6 +29,7 @@ _TITLES = {
     "residual-time.png": "Residual against time",
     "distance-iterations.png": "Distance to the reference",
     "energy.png": "Energy",
+    "residual-parts.png": "Primary and secondary residual",
     "steps.png": "End of each step",
 }
 _SUMMARY = (
@@ -67,9 +68,10 @@ _STEPS = (
 )
 
 
-def drawn_files(steps: int) -> list[str]:
-    """Names of the files that `write_drawings` leaves."""
-    return [*(name for name in _TITLES if name != "steps.png" or steps > 1), PICTURES, PAGE]
+def drawn_files(steps: int, *, is_split: bool = False) -> list[str]:
+    """Names of the files that `write_drawings` leaves; `is_split`: a variant reports its residual in parts."""
+    left_out = {name for name, is_there in (("steps.png", steps > 1), ("residual-parts.png", is_split)) if not is_there}
+    return [*(name for name in _TITLES if name not in left_out), PICTURES, PAGE]
 
 
 def write_drawings(comparison: Comparison, folder: Path) -> list[str]:
@@ -130,7 +132,7 @@ def _page(comparison: Comparison, images: Mapping[str, str], pictures: str) -> s
         section("State after the last step", _table([_with_norms(row) for row in rows], _STATE)),
         '<div class="columns">',
         section("What was compared", _facts(comparison)),
-        section("How to read this", _explanation(facts["steps"])),
+        section("How to read this", _explanation(facts["steps"], bool(comparison.split_labels))),
         "</div>",
         section("Variants", _variants(facts)),
         section("Every step", f"<details><summary>table</summary>{_table(comparison.steps, _STEPS)}</details>"),
@@ -197,7 +199,7 @@ def _facts(comparison: Comparison) -> str:
     return '<table class="facts">\n' + "\n".join(lines) + "\n</table>" + versions_table(facts)
 
 
-def _explanation(steps: int) -> str:
+def _explanation(steps: int, is_split: bool) -> str:
     texts = [
         "All variants start from the same positions and velocities and solve the same equations.",
         "The residual r is the gradient of the incremental potential at the free degrees of freedom [N]. It is "
@@ -209,6 +211,12 @@ def _explanation(steps: int) -> str:
         "length. Position-based methods need the more sweeps the larger it is.",
         "An iteration that has begun is finished, so a step may take longer than its seconds.",
     ]
+    if is_split:
+        texts.append(
+            "The primary residual is how far multipliers are from carrying inertia and loads, the secondary one how "
+            "far they are from the stress at the positions. A solver with multipliers reports both, as norms [N]. "
+            "Their vectors add up to the residual of what it solves; for XPBD-QS that is a pseudo-time step."
+        )
     if steps > 1:
         texts.append(
             "In the first step R0 and the start are the same for all. After it each variant goes on from where it "

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from femdeform.post.plots import new_figure, positive
 from femdeform.run.compare import Comparison
+from femdeform.run.compare_trial import RESIDUAL_PARTS
 from femdeform.run.compare_variants import REFERENCE
 from femdeform.types import FloatArray
 
@@ -28,6 +30,8 @@ def all_figures(comparison: Comparison) -> dict[str, Callable[[], Any]]:
         "distance-iterations.png": lambda: distance_figure(comparison),
         "energy.png": lambda: energy_figure(comparison),
     }
+    if comparison.split_labels:
+        figures["residual-parts.png"] = lambda: parts_figure(comparison)
     if comparison.facts["steps"] > 1:
         figures["steps.png"] = lambda: steps_figure(comparison)
     return figures
@@ -46,6 +50,17 @@ def residual_figure(comparison: Comparison, against: str) -> Any:
     figure, (ax,) = new_figure(1)
     _draw_iterations(ax, comparison, against, lambda row: row["relative_residual"])
     ax.set_ylabel("residual over R0 [-]")
+    return figure
+
+
+def parts_figure(comparison: Comparison) -> Any:
+    """Primary and secondary residual over the iterations of the first step, of the variants that report them."""
+    figure, axes = new_figure(2)
+    for ax, column in zip(axes, RESIDUAL_PARTS, strict=True):
+        _draw_iterations(ax, comparison, "iteration", partial(_over_scale, column), comparison.split_labels)
+        ax.set_ylabel(f"{column.removesuffix('_residual')} over R0 [-]")
+    axes[0].set_xlabel("")
+    axes[1].get_legend().remove()
     return figure
 
 
@@ -90,9 +105,22 @@ def steps_figure(comparison: Comparison) -> Any:
     return figure
 
 
-def _draw_iterations(ax: Any, comparison: Comparison, against: str, value: Callable[[dict[str, Any]], float]) -> None:
+def _over_scale(column: str, row: Mapping[str, Any]) -> float:
+    return float(row.get(column, np.nan)) / float(row["force_scale"])  # iteration 0 is before any solver
+
+
+def _draw_iterations(
+    ax: Any,
+    comparison: Comparison,
+    against: str,
+    value: Callable[[dict[str, Any]], float],
+    shown: Container[str] | None = None,
+) -> None:
+    """A curve for each variant, or each one shown."""
     first = min(row["step"] for row in comparison.iterations)
     for number, label in enumerate(comparison.labels):
+        if shown is not None and label not in shown:
+            continue
         rows = [row for row in comparison.iterations if row["variant"] == label and row["step"] == first]
         x = np.array([row[against] for row in rows], dtype=np.float64)
         y = positive(np.array([value(row) for row in rows], dtype=np.float64))

@@ -16,7 +16,7 @@ from femdeform.info import versions
 from femdeform.jit import CompilationAnnouncer
 from femdeform.run.compare_judge import mean_edge_length, stiffness_number
 from femdeform.run.compare_reference import Reference, Row
-from femdeform.run.compare_trial import DIVERGED, Outcome, Trial
+from femdeform.run.compare_trial import DIVERGED, RESIDUAL_PARTS, Outcome, Trial
 from femdeform.run.compare_variants import REFERENCE, Prepared, Variant, prepare, solver_options
 from femdeform.run.output import FrameSource
 from femdeform.run.status_line import StatusLine
@@ -89,7 +89,8 @@ class Comparison:
         volume_ratio, min_jacobian, inverted_cells, and components of linear_momentum and angular_momentum.
     iterations : list of dict
         A row for every iteration, 0 being the start of the step: variant, step, iteration, seconds, residual_norm,
-        relative_residual, residual_max, force_scale, objective, distance, distance_max.
+        relative_residual, residual_max, force_scale, objective, distance, distance_max; where a solver reports
+        them also primary_residual and secondary_residual.
     reference : list of dict
         Rows of the converged reference, with the columns of `steps`.
     stiffness_number : float
@@ -122,6 +123,12 @@ class Comparison:
     def of(self, label: str) -> list[Row]:
         """Rows of `steps` of a variant, or of the reference."""
         return self.reference if label == REFERENCE else [row for row in self.steps if row["variant"] == label]
+
+    @property
+    def split_labels(self) -> list[str]:
+        """Labels of the variants whose solver takes its residual apart, see `RESIDUAL_PARTS`."""
+        reporting = {row["variant"] for row in self.iterations if RESIDUAL_PARTS[0] in row}
+        return [label for label in self.labels if label in reporting]
 
     @property
     def all_diverged(self) -> bool:

@@ -129,7 +129,9 @@ def _write_facts(folder: Path, facts: Mapping[str, Any]) -> None:
 
 def _to_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     stream = StringIO()
-    writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
+    # What only some of the variants report is empty in the rows of the others.
+    names = dict.fromkeys(name for row in rows for name in row)
+    writer = csv.DictWriter(stream, fieldnames=list(names), restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     return stream.getvalue()

@@ -23,6 +23,8 @@ SPENT, DIVERGED, STOPPED = "budget spent", "diverged", "stopped"
 WORK_DONE = "work done"
 
 _WARM_UP_ITERATIONS = 3
+# Columns that only some solvers report, and only they can: what a method takes its residual apart into [N].
+RESIDUAL_PARTS = ("primary_residual", "secondary_residual")
 # A solver's own residual and the judge's are the same sum in another order: more than this apart, one is wrong.
 _DISAGREEMENT = 0.01
 
@@ -146,20 +148,21 @@ class Trial:
         rows: list[Row] = []
         budget = self.make_budget()
 
-        def record(iteration: int, seconds: float, x: FloatArray) -> None:
+        def record(iteration: int, seconds: float, x: FloatArray, reported: Row) -> None:
             head = {"variant": self.label, "step": state.step + 1, "iteration": iteration, "seconds": seconds}
-            rows.append(head | judge.residual(x) | judge.distance(x, target))
+            rows.append(head | judge.residual(x) | judge.distance(x, target) | reported)
             self.status.show(f"{place}, iteration {iteration}, r/R0 {rows[-1]['relative_residual']:.1e}")
 
         def observe(row: Mapping[str, float | int | str], x: FloatArray) -> None:
             with budget.paused():
                 _stop_at_nonsense(row, x)
-                record(int(row["iteration"]), budget.elapsed(), x)
+                parts = {name: row[name] for name in RESIDUAL_PARTS if name in row}
+                record(int(row["iteration"]), budget.elapsed(), x, parts)
 
         judge.begin_step(state, dt, target)
         problem.begin_step(state, dt)
         begin = problem.solver_state(state)
-        record(0, 0.0, judge.start(state))
+        record(0, 0.0, judge.start(state), {})
         budget.start()
         try:
             result = simulation.solver.step(problem, begin, observe, budget)
