@@ -174,7 +174,7 @@ def test_other_methods_refuse_muscles(solver: dict[str, Any]) -> None:
 
 
 def bound_spindles(solver: dict[str, Any]) -> Simulation:
-    """Two muscles, held at both ends, one pressed on the other: tissue on a part of the surface, contact on the rest."""
+    """Two muscles held at both ends, one pressed on the other: tissue on a part of the surface, contact elsewhere."""
     mesh = {"recipe": "muscle", "length": 0.2, "radius": 0.025, "end_radius": 0.015, "tendon_length": 0.03}
     down, bodies = [0.0, -0.012, 0.0], {}
     for name, cells, up in (("a", [10, 3], 0.0), ("b", [9, 3], 0.0502)):
@@ -207,7 +207,7 @@ def bound_spindles(solver: dict[str, Any]) -> Simulation:
 
 
 def test_pbng_with_binding_and_contact_between_muscles() -> None:
-    """Four steps: nodes of tissue and of contact are one block, in which fibres become more active from step to step."""
+    """Nodes of tissue and of contact are one block, in which fibres become more active from step to step."""
     found, touching = [], []
     for solver in ({**NEWTON, "tolerance": 1e-10}, {"method": "pbng", "tolerance": 1e-8, "max_iterations": 5000}):
         simulation = bound_spindles(solver)
