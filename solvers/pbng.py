@@ -16,7 +16,7 @@ from solvers.linear.interface import LinearSolver
 from solvers.newton_finish import NewtonFinish
 from solvers.position_based.node_sweep import NodeSweep
 
-# Times an acceleration may be taken back before it is switched off for the step.
+# An acceleration that is taken back again and again rests for at most 2 to this power looks.
 _STRIKES = 4
 # A rise of Phi by this part of its terms is rounding.
 _FLAT = 1e-11
@@ -125,7 +125,7 @@ class _Step:
         self.finish = solver.finish
         if self.finish is not None:
             self.finish.begin_step()
-        self.strikes, self.waiting = 0, 0
+        self.strikes, self.waiting, self.taken_back = 0, 0, 0
         self.iteration = 0
         self.was_newton = False
         self.x = state.x
@@ -183,6 +183,8 @@ class _Step:
                 residual = self._look()
             else:
                 value = after
+                if accelerated:
+                    self.strikes = max(self.strikes - 1, 0)
             stalled = stalled + 1 if self.norm > 0.99 * best else 0
             best = min(best, self.norm)
             if self.precision == "float32" and not fixed and (stalled > 1 or not math.isfinite(self.norm)):
@@ -242,8 +244,9 @@ class _Step:
     def _take_back(self, saved: FloatArray) -> None:
         """Go back to the last look and sweep plainly for a while, the longer the more often it happens."""
         self.flat[:] = saved
-        self.strikes += 1
-        self.waiting = 2**self.strikes if self.strikes < _STRIKES else self.options.max_iterations
+        self.taken_back += 1
+        self.strikes = min(self.strikes + 1, _STRIKES)
+        self.waiting = 2**self.strikes
         assert self.accelerator is not None
         self.accelerator.restart()
 
@@ -319,7 +322,7 @@ class _Step:
             "linear_iterations": linear_iterations,
             "newton": int(is_newton),
             "accelerated": int(accelerated),
-            "taken_back": self.strikes,
+            "taken_back": self.taken_back,
             "seconds": self.budget.elapsed(),
         }
         self.observe(row, self.x)

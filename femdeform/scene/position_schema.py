@@ -34,7 +34,7 @@ class PBNGSolver(SceneModel):
     )
     acceleration: Literal["none", "chebyshev", "sor", "anderson"] = Field(
         default="anderson",
-        description="what is made of whole sweeps; taken back and at last switched off where the energy rises",
+        description="what is made of whole sweeps; taken back where the energy rises, for the longer the more often",
     )
     rho: float = Field(default=0.95, gt=0.0, lt=1.0, description="chebyshev: estimated convergence rate of sweeps [-]")
     gamma: float = Field(default=1.7, gt=0.0, lt=2.0, description="chebyshev: relaxation [-]")

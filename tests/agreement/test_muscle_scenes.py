@@ -12,7 +12,7 @@ from femdeform.cli import main
 REPOSITORY = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FEMDEFORM_DATA", REPOSITORY.parent / "shared" / "data"))
 MUSCLE, BICEPS = REPOSITORY / "scenes/pbng/muscle.yaml", REPOSITORY / "scenes/pbng/biceps.yaml"
-BOX = REPOSITORY / "scenes/xpbd/muscle-box.yaml"
+BOX, BOUND = REPOSITORY / "scenes/xpbd/muscle-box.yaml", REPOSITORY / "scenes/pbng/bound-muscles.yaml"
 
 
 def run(scene: Path, out: Path, *overrides: str) -> int:
@@ -22,7 +22,7 @@ def run(scene: Path, out: Path, *overrides: str) -> int:
     return main(arguments)
 
 
-@pytest.mark.parametrize("scene", [MUSCLE, BOX], ids=lambda path: path.stem)
+@pytest.mark.parametrize("scene", [MUSCLE, BOX, BOUND], ids=lambda path: path.stem)
 def test_no_faults(scene: Path) -> None:
     assert main(["check", str(scene)]) == 0
 
@@ -32,7 +32,7 @@ def test_first_steps_of_the_muscle_box(tmp_path: Path) -> None:
 
 
 @pytest.mark.gallery
-@pytest.mark.parametrize("scene", [MUSCLE, BOX], ids=lambda path: path.stem)
+@pytest.mark.parametrize("scene", [MUSCLE, BOX, BOUND], ids=lambda path: path.stem)
 def test_meets_what_it_expects(scene: Path, tmp_path: Path) -> None:
     assert run(scene, tmp_path / "result") == 0
 

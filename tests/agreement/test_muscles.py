@@ -171,3 +171,107 @@ def test_isometric_force() -> None:
 def test_other_methods_refuse_muscles(solver: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="does not know muscle fibres"):
         bar(3, "fixed_corotated", 1e5, muscle(3, 1e5, 1.2, [0.0, 1.0]), solver)
+
+
+def bound_spindles(solver: dict[str, Any]) -> Simulation:
+    """Two muscles held at both ends, one pressed on the other: tissue on a part of the surface, contact elsewhere."""
+    mesh = {"recipe": "muscle", "length": 0.2, "radius": 0.025, "end_radius": 0.015, "tendon_length": 0.03}
+    down, bodies = [0.0, -0.012, 0.0], {}
+    for name, cells, up in (("a", [10, 3], 0.0), ("b", [9, 3], 0.0502)):
+        bodies[name] = {
+            "mesh": {**mesh, "cells": cells, "translate": [0.0, up, 0.0]},
+            "material": material("fixed_corotated", E=1e5, nu=0.45),
+            "muscles": {"belly": muscle(3, 1e5, 1.4, [0.0, 1.0], (1.0, 0.0, 0.0))},
+        }
+    closer = [{"kind": "translate", "on": f"b.{end}_bone", "velocity": down} for end in ("origin", "insertion")]
+    return build(
+        scene(
+            bodies,
+            {"kind": "fixed", "on": "a.origin_bone"},
+            {"kind": "fixed", "on": "a.insertion_bone"},
+            *closer,
+            links={
+                "tissue": {
+                    "kind": "binding",
+                    "on": {"box": [[0.03, 0.0, -0.03], [0.085, 0.05, 0.03]], "body": "a"},
+                    "to": "b",
+                    "stiffness": 1e8,
+                    "within": 0.015,
+                }
+            },
+            contact={"method": "weak_constraints", "stiffness": 1e8, "self_contact": False},
+            solver=solver,
+            time=quasistatic(0.25),
+        )
+    )
+
+
+def test_pbng_with_binding_and_contact_between_muscles() -> None:
+    """Nodes of tissue and of contact are one block, in which fibres become more active from step to step."""
+    found, touching = [], []
+    for solver in ({**NEWTON, "tolerance": 1e-10}, {"method": "pbng", "tolerance": 1e-8, "max_iterations": 5000}):
+        simulation = bound_spindles(solver)
+        for _ in range(4):
+            step(simulation)
+            found.append(displacement(simulation))
+        contact = simulation.problem.weak_contact
+        assert contact is not None
+        touching.append(contact.count(simulation.state.x))
+    assert np.abs(found[3]).max() > 0.004
+    assert touching[0] == touching[1] > 0
+    for newton, pbng in zip(found[:4], found[4:], strict=True):
+        assert np.abs(pbng - newton).max() < 1e-7
+
+
+def test_the_stiff_block_follows_the_activation() -> None:
+    """A block of tied nodes minimises the energy of the step's own activation, in every step."""
+    simulation = bound_spindles({"method": "pbng", "tolerance": 1e-6, "max_iterations": 5000})
+    for number in range(1, 4):
+        problem = simulation.problem
+        problem.begin_step(simulation.state, 0.25)
+        sweep = simulation.solver.sweep_of(problem, "float64")
+        assert sweep.block is not None
+        x = problem.initial_guess(simulation.state)
+        flat, loads = sweep.flat(x), np.zeros(3 * len(x))
+        for _ in range(40):
+            sweep.block.move(flat, loads)
+            sweep.block.renew()
+        sweep.unflat(flat, x)
+        force = problem.gradient(x)[sweep.block.nodes]
+        # The pull of fibres that are less active by a quarter would stand out.
+        before = problem.gradient(problem.initial_guess(simulation.state))[sweep.block.nodes]
+        assert np.abs(force).max() < 1e-6 * np.abs(before).max(), number
+        step(simulation, 0.25)
+
+
+@DIMS
+@pytest.mark.parametrize("slides", [False, True])
+def test_residuals_of_fp_pxpbd_add_up_with_fibres(dim: int, slides: bool) -> None:
+    """What the corners miss and what stresses and fibres miss is the residual, long before convergence."""
+    solver = {"method": "fp_pxpbd", "iterations": 3}
+    components = ["x"] if slides else list("xyz"[:dim])
+    data = scene(
+        {
+            "m": body(
+                block([1.0, 0.25, 0.25][:dim], [6, 2, 2][:dim]),
+                material("fixed_corotated", E=1e4, nu=0.4),
+                muscle=muscle(dim, 2e4, 0.9, [0.0, 0.05]),
+            )
+        },
+        {"kind": "fixed", "on": "m.left"},
+        {"kind": "fixed", "on": "m.right", "components": components},
+        gravity=[0.0, -9.81, 0.0][:dim],
+        solver=solver,
+    )
+    simulation = build(data)
+    problem = simulation.problem
+    for number in range(4):
+        problem.begin_step(simulation.state, 0.01)
+        result = simulation.solver.step(problem, simulation.state)
+        sweep = simulation.solver.sweep_of(problem)
+        primary, secondary = sweep.residual_parts(problem)
+        residual = problem.gradient(result.x)
+        # Rounding is that of the forces that all but cancel.
+        np.testing.assert_allclose(primary + secondary, residual, rtol=0.0, atol=1e-12 * problem.force_scale)
+        assert np.abs(secondary).max() > 1e-6 * np.abs(residual).max(), number
+        simulation.state = problem.accept(simulation.state, result.x)
