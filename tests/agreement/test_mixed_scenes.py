@@ -73,7 +73,7 @@ def test_a_step_of_a_large_scene(name: str, tmp_path: Path) -> None:
     assert shortened(name, tmp_path) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.gallery
 @pytest.mark.parametrize("name", sorted(set(NAMES) - QUICK))
 def test_a_large_scene_meets_what_it_expects(name: str, tmp_path: Path) -> None:
     assert run(name, tmp_path) == 0
