@@ -135,16 +135,11 @@ class MACGrid:
 
     # ----------------------------------------------------------------------------------------- projection
 
-    def hold_at_solids(
-        self, system: PressureSystem, solid_velocity: Sequence[FloatArray | float] | None = None
-    ) -> None:
-        """Set faces of solids, walls of the grid included, to the solid's velocity [m/s], zero if not given."""
+    def hold_at_solids(self, system: PressureSystem) -> None:
+        """Let the flow rest at faces of solids, walls of the grid included."""
         solid = system.labels == SOLID
         for axis in range(self.dim):
-            low, high = _sides(solid, axis)
-            held = low | high
-            values = 0.0 if solid_velocity is None else solid_velocity[axis]
-            self.velocity[axis][held] = values[held] if isinstance(values, np.ndarray) else values
+            self.velocity[axis][np.logical_or(*sides(solid, axis))] = 0.0
 
     def divergence(self, system: PressureSystem) -> GridArray:
         """Net outflow of each voxel that has an unknown, times h / h^dim [m/s]: h times the divergence, padded."""
@@ -184,10 +179,10 @@ class MACGrid:
         passable = system.labels != SOLID
         fluid = system.unknown
         for axis in range(self.dim):
-            open_low, open_high = _sides(passable, axis)
-            fluid_low, fluid_high = _sides(fluid, axis)
+            open_low, open_high = sides(passable, axis)
+            fluid_low, fluid_high = sides(fluid, axis)
             free = open_low & open_high & (fluid_low | fluid_high)
-            low, high = _sides(answer.x, axis)
+            low, high = sides(answer.x, axis)
             self.velocity[axis][free] -= (high - low)[free]
         after = float(np.abs(self.divergence(system)).max(initial=0.0)) / self.spacing
         return ProjectionReport(answer.iterations, answer.converged, answer.reason, before, after, imbalance)
@@ -200,16 +195,16 @@ class MACGrid:
         if not air.any() or not known.any():
             return
         for axis in range(self.dim):
-            air_low, air_high = _sides(air, axis)
-            known_low, known_high = _sides(known, axis)
+            air_low, air_high = sides(air, axis)
+            known_low, known_high = sides(known, axis)
             unset = air_low & air_high
             if unset.any():
                 near = distance_transform_edt(~(known_low | known_high), return_distances=False, return_indices=True)
                 self.velocity[axis][unset] = self.velocity[axis][tuple(index[unset] for index in near)]
 
 
-def _sides(padded: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Values of the voxels before and behind each face across an axis."""
+def sides(padded: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Values of the voxels before and behind each face across an axis, shaped as that velocity component."""
     low: list[slice] = [slice(1, -1)] * 3
     high = low.copy()
     low[axis], high[axis] = slice(0, -1), slice(1, None)

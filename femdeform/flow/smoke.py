@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from femdeform.flow.mac_grid import MACGrid, PressureSolver, ProjectionReport
+from femdeform.flow.mac_grid import MACGrid, PressureSolver, ProjectionReport, sides
 from femdeform.flow.pressure_system import AIR, SOLID, PressureSystem
 from femdeform.types import FloatArray
 
@@ -148,12 +148,9 @@ class SmokeFlow:
         voxels = source.voxels & ~is_solid
         self.density[voxels] = source.density
         if source.velocity is not None:
+            padded = np.pad(voxels, 1)
             for axis, value in enumerate(source.velocity):
-                low, high = [slice(None)] * 3, [slice(None)] * 3
-                low[axis], high[axis] = slice(0, -1), slice(1, None)
-                component = self.grid.velocity[axis]
-                component[tuple(low)][voxels] = value
-                component[tuple(high)][voxels] = value
+                self.grid.velocity[axis][np.logical_or(*sides(padded, axis))] = value
 
     def _lift(self, dt: float) -> None:
         """Buoyancy along y, on faces from the mean of the voxels beside them."""
@@ -166,12 +163,9 @@ class SmokeFlow:
         if self.moving is None:
             return
         moving = np.pad(self.moving.voxels(self.time) & ~self.solid, 1)
+        resting = np.pad(self.solid, 1, constant_values=True)
         for axis in range(grid.dim):
-            low, high = [slice(1, -1)] * 3, [slice(1, -1)] * 3
-            low[axis], high[axis] = slice(0, -1), slice(1, None)
-            held = moving[tuple(low)] | moving[tuple(high)]
             # Where a resting solid, or a wall, is beside the moving one, the resting one holds.
-            resting = np.pad(self.solid, 1, constant_values=True)
-            held &= ~(resting[tuple(low)] | resting[tuple(high)])
+            held = np.logical_or(*sides(moving, axis)) & ~np.logical_or(*sides(resting, axis))
             velocity = self.moving.velocity(self.time, grid.face_centres(axis))
             grid.velocity[axis][held] = velocity[..., axis][held]

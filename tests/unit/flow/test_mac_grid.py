@@ -197,6 +197,22 @@ def test_fast_flow_is_taken_in_parts() -> None:
     assert len(flow.step(0.05)) == flow.n_substeps(0.0) * 2
 
 
+def test_a_source_may_blow() -> None:
+    """The faces around its voxels get its velocity before the projection."""
+    flow = plume(buoyancy=0.0)
+    (source,) = flow.sources
+    flow.sources = [Source(source.voxels, velocity=(0.0, 0.5))]
+    flow._apply(flow.sources[0], flow.is_solid)
+    v = flow.grid.velocity[1]
+    blown = np.zeros(v.shape, dtype=bool)
+    blown[:, :-1] |= source.voxels
+    blown[:, 1:] |= source.voxels
+    np.testing.assert_array_equal(v, np.where(blown, 0.5, 0.0))
+    assert np.all(flow.grid.velocity[0] == 0.0)
+    flow.step(0.02)
+    assert flow.grid.largest_speed() > 0.1
+
+
 def test_a_turning_solid_drags_the_fluid() -> None:
     def voxels(time: float) -> np.ndarray:
         points = flow.grid.centres() - 0.5
