@@ -23,6 +23,15 @@ SOLVERS: dict[str, str] = {
     "fp_pxpbd": "solvers.pxpbd:FirstPiolaPXPBD",
 }
 
+# What a run drives, by the word `simulation` of its scene.
+COURSES: dict[str, str] = {
+    "deformable": "femdeform.run.deformable:DeformableCourse",
+    "incompressible_flow": "femdeform.run.flow_course:FlowCourse",
+}
+
+# Makes what solves for the pressure of a flow.
+PRESSURE_SOLVER = "solvers.linear.poisson.make:make_pressure_solver"
+
 LINEAR_SOLVERS: dict[str, str] = {
     "ksp": "solvers.linear.ksp:KSP",
     "scipy_direct": "solvers.linear.scipy_direct:SciPyDirect",
@@ -33,6 +42,7 @@ MESH: dict[str, str] = {
     "check": "meshes.quality:check_mesh",
     "command": "meshes.info:mesh_command",
     "embed": "meshes.embed:embed_points",
+    "boundary": "meshes.boundary:boundary_facets",
 }
 
 # Where bodies with incremental potential contact start.

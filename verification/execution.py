@@ -15,7 +15,7 @@ from femdeform.fem.incremental_potential import IncrementalPotential, State
 from femdeform.run.quantities import Meter
 from femdeform.run.setup import Simulation, build_simulation
 from femdeform.run.threads import use_threads
-from femdeform.run.time_loop import StepControl, default_min_dt, run_time_loop
+from femdeform.run.time_loop import SolverStepper, StepControl, default_min_dt, run_time_loop
 from femdeform.scene.checks import check_scene
 from femdeform.scene.meshing import load_meshes
 from femdeform.step_problem import StepResult
@@ -140,15 +140,14 @@ def run_problem(problem: Problem, advance: Callable[[float], None] = lambda _: N
         If a mesh cannot be built, or a field does not fit it.
     """
     begin = time.perf_counter()
-    scene = problem.loaded.scene
+    scene = problem.loaded.deformable
     meshes = _meshes(problem)
     use_threads(None, sum(mesh.n_cells for mesh in meshes.values()))
     simulation = _with_fields(build_simulation(scene, meshes), problem)
     record = _Record(simulation, advance)
     try:
         outcome = run_time_loop(
-            simulation.problem,
-            simulation.solver,
+            SolverStepper(simulation.problem, simulation.solver),
             StepControl(
                 scene.time.dt,
                 scene.time.end,
@@ -233,7 +232,7 @@ def _with_fields(simulation: Simulation, problem: Problem) -> Simulation:
 
 
 def _solution(problem: Problem, displacement: VectorField) -> ManufacturedSolution:
-    (body,) = problem.loaded.scene.bodies.values()
+    (body,) = problem.loaded.deformable.bodies.values()
     material = body.material
     assert material is not None  # judged with the study
     try:

@@ -18,7 +18,7 @@ def field_faults(
     loaded: LoadedScene, fields: FieldSet, integrator: str, dim: int | None, integrator_path: KeyPath
 ) -> list[Fault]:
     """Faults of fields and integrator against one scene; `dim` is that of its meshes, None if not known."""
-    scene = loaded.scene
+    scene = loaded.deformable
     quasistatic = scene.time.scheme == "quasistatic"
     faults = []
     if fields.displacement is not None:
@@ -51,7 +51,7 @@ def _trapezoidal_problems(scene: schema.DeformableScene) -> Iterator[str]:
 
 def quantity_faults(problem: Problem, quantities: Sequence[MeasuredQuantity], source: Source) -> list[Fault]:
     """Faults of quantities against one scene."""
-    scene = problem.loaded.scene
+    scene = problem.loaded.deformable
     faults = []
     for quantity in quantities:
         if quantity.is_norm:

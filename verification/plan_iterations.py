@@ -54,7 +54,7 @@ def plan_iterations(reader: SceneReader, name: str, study: IterationSweep, scene
     budget = Plan(iterations=study.iterations, steps=study.steps)
     try:
         prepared = prepare(scene, variants, [setting.text for setting in common])
-        budget.check(prepared.base.scene)
+        budget.check(prepared.base.deformable)
     except InputError as error:
         reader.relocate(error.faults, origins, path)
     if len(reader.faults) > before:

@@ -256,7 +256,7 @@ class Planner:
             elif reference is not None:
                 targets[quantity.name] = Target()
                 try:
-                    value = static_value(reference, level.arguments, problem.loaded.scene, constants)
+                    value = static_value(reference, level.arguments, problem.loaded.deformable, constants)
                 except ReferenceValueError as error:
                     at_level = error.of_level and len(error.key) > 1 and error.key[1] in level.arguments
                     self._reader.fault((*level.path, *error.key) if at_level else (*where, *error.key), str(error))

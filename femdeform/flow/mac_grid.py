@@ -21,6 +21,7 @@ class PressureAnswer(Protocol):
     iterations: int
     converged: bool
     reason: str
+    residuals: list[float]
 
 
 class PressureSolver(Protocol):
@@ -28,6 +29,9 @@ class PressureSolver(Protocol):
 
     def solve(self, b: GridArray, tolerance: float, max_iterations: int, x: GridArray | None = None) -> PressureAnswer:
         """Solve to |r| <= tolerance |b|."""
+
+    def destroy(self) -> None:
+        """Free what Python does not."""
 
 
 @dataclass
@@ -47,6 +51,10 @@ class ProjectionReport:
     imbalance : float
         Largest mean divergence of a closed component, which no pressure can take away: that of an inlet without an
         outlet [1/s].
+    relative_residual : float
+        Residual of the pressure over its right-hand side [-].
+    q : (nx + 2, ny + 2, nz + 2) float64
+        The pressure as `PressureSystem` has it, dt p / (rho h) [m/s].
     """
 
     iterations: int
@@ -55,6 +63,8 @@ class ProjectionReport:
     divergence_before: float
     divergence_after: float
     imbalance: float
+    relative_residual: float
+    q: GridArray
 
 
 class MACGrid:
@@ -185,7 +195,17 @@ class MACGrid:
             low, high = sides(answer.x, axis)
             self.velocity[axis][free] -= (high - low)[free]
         after = float(np.abs(self.divergence(system)).max(initial=0.0)) / self.spacing
-        return ProjectionReport(answer.iterations, answer.converged, answer.reason, before, after, imbalance)
+        size = system.norm(compatible)
+        return ProjectionReport(
+            answer.iterations,
+            answer.converged,
+            answer.reason,
+            before,
+            after,
+            imbalance,
+            answer.residuals[-1] / size if size > 0.0 else 0.0,
+            answer.x,
+        )
 
     def fill_air(self, system: PressureSystem) -> None:
         """Give faces between two voxels of air the velocity of the nearest face of fluid, for advection from there."""

@@ -28,11 +28,14 @@ class Source:
         Density of the smoke there [-].
     velocity : tuple of float, optional
         Velocity that the region is given [m/s]; None leaves it to the flow.
+    end : float
+        Time at which it stops [s].
     """
 
     voxels: NDArray[np.bool_]
     density: float = 1.0
     velocity: tuple[float, ...] | None = None
+    end: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class SmokeFlow:
     buoyancy : float
         Acceleration of smoke of density 1 upwards, along y [m/s^2].
     sources : sequence of Source
-    moving : MovingSolid, optional
+    moving : sequence of MovingSolid
     tolerance : float
         Of the pressure: residual over its right-hand side [-].
     max_iterations : int
@@ -86,7 +89,7 @@ class SmokeFlow:
     make_solver: Callable[[PressureSystem], PressureSolver]
     buoyancy: float = 2.0
     sources: Sequence[Source] = ()
-    moving: MovingSolid | None = None
+    moving: Sequence[MovingSolid] = ()
     tolerance: float = 1e-4
     max_iterations: int = 1000
     time: float = 0.0
@@ -103,13 +106,28 @@ class SmokeFlow:
         """Make the pressure system of this moment; nothing if no voxel has changed."""
         labels = np.where(self.air, AIR, 0).astype(np.uint8)
         labels[self.solid] = SOLID
-        if self.moving is not None:
-            labels[self.moving.voxels(self.time)] = SOLID
+        for solid in self.moving:
+            labels[solid.voxels(self.time)] = SOLID
         if self._labels is not None and np.array_equal(labels, self._labels):
             return
         self._labels = labels
         self.system = PressureSystem(labels)
+        self.destroy()
         self._solver = self.make_solver(self.system)
+
+    def destroy(self) -> None:
+        """Free what the solver holds."""
+        if self._solver is not None:
+            self._solver.destroy()
+            self._solver = None
+
+    def put(self, velocity: Sequence[FloatArray], density: FloatArray, time: float) -> None:
+        """Go to a state: velocities of the faces [m/s], density of smoke (nx, ny, nz) [-] and time [s], as copies."""
+        for component, values in zip(self.grid.velocity, velocity, strict=True):
+            component[...] = values
+        self.density = density.copy()
+        self.time = time
+        self._take_labels()
 
     @property
     def is_solid(self) -> NDArray[np.bool_]:
@@ -136,7 +154,9 @@ class SmokeFlow:
         density[is_solid] = 0.0
         self.density = density
         for source in self.sources:
-            self._apply(source, is_solid)
+            # A step belongs to the source if it begins before the source's end.
+            if self.time - dt < source.end * (1.0 - 1e-12):
+                self._apply(source, is_solid)
         self._lift(dt)
         self.hold_solids()
         assert self._solver is not None
@@ -160,12 +180,11 @@ class SmokeFlow:
         """Give faces of solids the solids' velocity."""
         grid = self.grid
         grid.hold_at_solids(self.system)
-        if self.moving is None:
-            return
-        moving = np.pad(self.moving.voxels(self.time) & ~self.solid, 1)
         resting = np.pad(self.solid, 1, constant_values=True)
-        for axis in range(grid.dim):
-            # Where a resting solid, or a wall, is beside the moving one, the resting one holds.
-            held = np.logical_or(*sides(moving, axis)) & ~np.logical_or(*sides(resting, axis))
-            velocity = self.moving.velocity(self.time, grid.face_centres(axis))
-            grid.velocity[axis][held] = velocity[..., axis][held]
+        for solid in self.moving:
+            moving = np.pad(solid.voxels(self.time) & ~self.solid, 1)
+            for axis in range(grid.dim):
+                # Where a resting solid, or a wall, is beside the moving one, the resting one holds.
+                held = np.logical_or(*sides(moving, axis)) & ~np.logical_or(*sides(resting, axis))
+                velocity = solid.velocity(self.time, grid.face_centres(axis))
+                grid.velocity[axis][held] = velocity[..., axis][held]

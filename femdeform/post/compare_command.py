@@ -71,7 +71,7 @@ def compare_command(
         wanted = own | wanted
     plan = Plan(**wanted)
     prepared = prepare(path, variants, overrides)
-    plan.check(prepared.base.scene)
+    plan.check(prepared.base.deformable)
     claim_folder(folder)
     try:
         with StatusLine(not quiet) as status:

@@ -9,7 +9,7 @@ from pathlib import Path
 from femdeform.errors import Fault, InputError
 from femdeform.run.batch_plan import Plan, PlannedRun, expand
 from femdeform.scene.batch_schema import LoadedStudy, varied_keys
-from femdeform.scene.checks import check_file, check_scene
+from femdeform.scene.checks import check_file, check_loaded
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.load import LoadedScene, load_scene, scene_hash, sort_faults
 from femdeform.scene.mesh_schema import FileMesh
@@ -84,7 +84,7 @@ def check_runs(plan: Plan, runs: Sequence[PlannedRun], advance: Advance) -> None
     for count, run in enumerate(runs, start=1):
         loaded = load_scene(plan.study.scene_path, run.overrides)
         survey = surveys.of(loaded)
-        blame.add(run, [*survey.faults, *check_scene(loaded, survey.meshes, survey.coarse)])
+        blame.add(run, [*survey.faults, *check_loaded(loaded, survey.meshes, survey.coarse)])
         advance(count, len(runs))
     faults = blame.faults()
     if faults:
@@ -102,9 +102,9 @@ def run_hash(loaded: LoadedScene, contents: Callable[[Path], str]) -> str:
         Hash of a file's contents.
     """
     meshes = {
-        name: contents(loaded.base_dir / body.mesh.file)
-        for name, body in loaded.scene.bodies.items()
-        if isinstance(body.mesh, FileMesh)
+        name: contents(loaded.base_dir / source.file)
+        for name, (_, source) in loaded.scene.mesh_sources().items()
+        if isinstance(source, FileMesh)
     }
     return scene_hash([loaded.hash, meshes])
 
@@ -135,8 +135,7 @@ class _Surveys:
     def of(self, loaded: LoadedScene) -> MeshSurvey:
         scene = loaded.scene
         # Selections by place decide how fine a mesh the check needs.
-        meshes = {name: body.mesh for name, body in scene.bodies.items()}
-        key = repr((meshes, scene.conditions, scene.measure, scene.expect))
+        key = repr((scene.mesh_sources(), getattr(scene, "conditions", None), scene.measure, scene.expect))
         if self._survey is None or key != self._key:
             survey = survey_meshes(loaded)
             # Faults carry the places of this scene, not of the next one.

@@ -15,16 +15,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
 from femdeform.run import atomic
-from femdeform.types import FloatArray
 
 FILE_NAME = "checkpoint.h5"
 # What to do where there is nothing to go on from; a run does not write over another one's result unasked.
 START_ANEW = "run without --resume, with --overwrite or into another folder (--out)"
-_VERSION = 3
+_VERSION = 4
 _SEAL = b"\nfemdeform checkpoint sha256 "
 # Results of runs that ended too early to leave a checkpoint: nothing is lost by beginning again.
 _BEGUN = ("running", "interrupted", "failed")
@@ -36,8 +35,10 @@ class Checkpoint:
 
     Attributes
     ----------
-    x, v : (n_nodes, dim) float64
-        Positions [m] and velocities [m/s] of the whole problem, in the order of the input.
+    fields : dict of str to array
+        What the state is made of. Of deformable bodies: positions ``x`` [m] and velocities ``v`` [m/s] of all nodes in
+        the order of the input, (n_nodes, dim) each, and where they are embedded in a grid their ``affine`` velocities
+        (n_nodes, dim, dim) [1/s].
     time : float
         Time [s].
     step : int
@@ -54,12 +55,9 @@ class Checkpoint:
         Hash of the scene that was run.
     mesh_files : dict of str to str
         SHA-256 of the mesh file of every body that has one.
-    affine : (n_nodes, dim, dim) float64, optional
-        Affine velocities of grid-embedded bodies [1/s].
     """
 
-    x: FloatArray
-    v: FloatArray
+    fields: Mapping[str, NDArray[Any]]
     time: float
     step: int
     current_dt: float
@@ -68,7 +66,6 @@ class Checkpoint:
     seconds: float
     scene_hash: str
     mesh_files: dict[str, str] = field(default_factory=dict)
-    affine: FloatArray | None = None
 
 
 def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
@@ -85,12 +82,10 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
     image = io.BytesIO()
     with h5py.File(image, "w") as file:
         file.attrs["version"] = _VERSION
+        for name, values in checkpoint.fields.items():
+            file.create_dataset(name, data=values)
         for name, value in vars(checkpoint).items():
-            if value is None:
-                continue
-            if isinstance(value, np.ndarray):
-                file.create_dataset(name, data=value)
-            else:
+            if name != "fields":
                 file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
     data = image.getvalue()
     atomic.write_bytes(folder / FILE_NAME, data + _SEAL + hashlib.sha256(data).hexdigest().encode("ascii") + b"\n")
@@ -139,8 +134,7 @@ def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
                 message = f"checkpoint version {version} is not known here, only {_VERSION}; {START_ANEW}"
                 raise InputError([Fault(str(path), 0, "", message)])
             checkpoint = Checkpoint(
-                x=file["x"][()],
-                v=file["v"][()],
+                fields={name: values[()] for name, values in file.items()},
                 time=float(attributes["time"]),
                 step=int(attributes["step"]),
                 current_dt=float(attributes["current_dt"]),
@@ -149,7 +143,6 @@ def read_checkpoint(folder: Path, scene_hash: str | None = None) -> Checkpoint:
                 seconds=float(attributes["seconds"]),
                 scene_hash=str(attributes["scene_hash"]),
                 mesh_files=dict(json.loads(attributes["mesh_files"])),
-                affine=file["affine"][()] if "affine" in file else None,
             )
     except (OSError, KeyError, ValueError) as error:
         message = f"the checkpoint is damaged ({error}); {START_ANEW}"

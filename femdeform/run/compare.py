@@ -203,7 +203,7 @@ def compare_prepared(
     clock: Callable[[], float] = time.perf_counter,
 ) -> Comparison:
     """As `compare`, of a scene and variants that have been read."""
-    scene, meshes = prepared.base.scene, prepared.meshes
+    scene, meshes = prepared.base.deformable, prepared.meshes
     plan.check(scene)
     n_cells = sum(mesh.n_cells for mesh in meshes.values())
     threads = use_threads(plan.threads, n_cells)
@@ -213,7 +213,7 @@ def compare_prepared(
         trials = [
             Trial(
                 variant.label,
-                prepared.scenes[variant.label].scene,
+                prepared.scenes[variant.label].deformable,
                 meshes,
                 reference,
                 lambda: Budget(plan.iterations, plan.seconds, clock),

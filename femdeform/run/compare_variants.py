@@ -204,7 +204,7 @@ def _own_overrides(variant: Variant, base: LoadedScene) -> list[str]:
         override, _ = parse_override(text)
         if override is not None and override.path == ("solver", "method"):
             method = str(override.value)
-    if not method or method == base.scene.solver.method:
+    if not method or method == base.deformable.solver.method:
         return list(variant.overrides)
     # The scene's options belong to another method.
     return [f"solver={{method: {method}}}", *variant.overrides]
@@ -217,7 +217,7 @@ def _in_variant(variant: Variant, fault: Fault) -> Fault:
 
 def solver_options(loaded: LoadedScene) -> dict[str, object]:
     """Resolved blocks `solver` and `linear_solver` of a scene."""
-    scene = loaded.scene
+    scene = loaded.deformable
     return {
         "solver": scene.solver.model_dump(mode="json"),
         "linear_solver": scene.linear_solver.model_dump(mode="json"),

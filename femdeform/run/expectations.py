@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,27 +49,55 @@ def check_expectations(simulation: Simulation, state: State, history: Columns | 
     for name in _SCALARS:
         expected = getattr(expect, name)
         if expected is not None:
-            verdicts.append(_verdict(name, scalar_quantity(name, None)(snapshot), expected))
+            verdicts.append(verdict(name, scalar_quantity(name, None)(snapshot), expected))
     if expect.residual is not None:
-        residuals = np.asarray(_needed(history)["relative_residual"], dtype=float)
-        # A run may have no step left to do; then no residual was left behind either.
-        verdicts.append(_verdict("residual", float(residuals.max(initial=0.0)), expect.residual))
+        verdicts.append(verdict("residual", largest_of(history, "relative_residual"), expect.residual))
     for wanted in expect.displacement:
         place = _words(wanted.on) if wanted.on is not None else f"point {list(wanted.at or ())}"
         computed = motion(simulation, wanted, wanted.component)(snapshot)
-        verdicts.append(_verdict(f"displacement.{wanted.component} on {place}", computed, wanted))
+        verdicts.append(verdict(f"displacement.{wanted.component} on {place}", computed, wanted))
     for force in expect.reaction:
         computed = reaction(simulation, force.on, force.component)(snapshot)
-        verdicts.append(_verdict(f"reaction.{force.component} on {_words(force.on)}", computed, force))
+        verdicts.append(verdict(f"reaction.{force.component} on {_words(force.on)}", computed, force))
     if expect.measured or expect.time_to_reach:
         meter = Meter(simulation)
         values = meter.evaluate(state) if expect.measured else {}
-        for name, value in expect.measured.items():
-            verdicts.append(_verdict(f"measure.{name}", values[name], value))
+        verdicts += measured_verdicts(expect.measured, values)
         start = meter.evaluate(simulation.state, is_start=True) if expect.time_to_reach else {}
-        for crossing in expect.time_to_reach:
-            time = time_to_reach(_needed(history), crossing, start[crossing.quantity])
-            verdicts.append(_verdict(f"time at which {crossing.quantity} reaches {crossing.level:g}", time, crossing))
+        verdicts += crossing_verdicts(expect.time_to_reach, history, start)
+    return verdicts
+
+
+def largest_of(history: Columns | None, column: str) -> float:
+    """Largest value of a column of ``history.csv``; 0 for a run without steps.
+
+    Raises
+    ------
+    ValueError
+        If there is no history.
+    """
+    return float(np.asarray(_needed(history)[column], dtype=float).max(initial=0.0))
+
+
+def measured_verdicts(expected: Mapping[str, ExpectedValue], values: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Verdicts of quantities of `measure` at the end."""
+    return [verdict(f"measure.{name}", values[name], value) for name, value in expected.items()]
+
+
+def crossing_verdicts(
+    expected: Sequence[ExpectedTime], history: Columns | None, start: Mapping[str, float]
+) -> list[dict[str, Any]]:
+    """Verdicts of `time_to_reach`; `start` holds the quantities at time 0.
+
+    Raises
+    ------
+    ValueError
+        If there is no history.
+    """
+    verdicts = []
+    for crossing in expected:
+        time = time_to_reach(_needed(history), crossing, start[crossing.quantity])
+        verdicts.append(verdict(f"time at which {crossing.quantity} reaches {crossing.level:g}", time, crossing))
     return verdicts
 
 
@@ -87,6 +115,11 @@ def time_to_reach(history: Columns, wanted: ExpectedTime, start: float) -> float
     """
     values = np.concatenate([[start], history[f"measure.{wanted.quantity}"]])
     times = np.concatenate([[0.0], history["time"]])
+    # A quantity may not be defined at first: the centroid of smoke before there is any.
+    known = np.isfinite(values)
+    if not known.any():
+        return math.inf
+    values, times = values[known], times[known]
     offset = values - wanted.level
     if offset[0] == 0.0:
         return 0.0
@@ -119,16 +152,17 @@ def _words(on: Selection | None) -> str:
     return on if isinstance(on, str) else "selection"
 
 
-def _verdict(quantity: str, computed: float, expected: ExpectedValue) -> dict[str, Any]:
-    verdict: dict[str, Any] = {"quantity": quantity, "computed": computed}
+def verdict(quantity: str, computed: float, expected: ExpectedValue) -> dict[str, Any]:
+    """Compare a computed value with an expected one; see `check_expectations`."""
+    found: dict[str, Any] = {"quantity": quantity, "computed": computed}
     if expected.value is not None:
         allowed = expected.atol + expected.rtol * abs(expected.value)
         passed = abs(computed - expected.value) <= allowed
-        verdict |= {"expected": expected.value, "rtol": expected.rtol, "atol": expected.atol}
+        found |= {"expected": expected.value, "rtol": expected.rtol, "atol": expected.atol}
     else:
         low = -math.inf if expected.at_least is None else expected.at_least
         high = math.inf if expected.at_most is None else expected.at_most
         passed = math.isfinite(computed) and low <= computed <= high
         given = {"at_least": expected.at_least, "at_most": expected.at_most}
-        verdict |= {name: bound for name, bound in given.items() if bound is not None}
-    return {**verdict, "passed": bool(passed)}
+        found |= {name: bound for name, bound in given.items() if bound is not None}
+    return {**found, "passed": bool(passed)}

@@ -13,7 +13,7 @@ from femdeform.run.checkpoint import START_ANEW, Checkpoint, is_unsaved, read_ch
 from femdeform.run.failure import end_all_ranks
 from femdeform.run.result import Result
 from femdeform.run.result_folder import check_vacant
-from femdeform.scene.checks import check_file, check_scene
+from femdeform.scene.checks import check_file, check_loaded
 from femdeform.scene.load import LoadedScene, load_scene
 from femdeform.scene.mesh_files import mesh_file_hashes
 from femdeform.scene.meshing import load_meshes
@@ -36,6 +36,14 @@ class RunInput:
     overwrite: bool
     skins: dict[str, Mesh] = field(default_factory=dict)
     ended: int | None = None  # exit code of a run that has nothing left to do
+
+    @property
+    def n_cells(self) -> int:
+        """How many cells a step goes through, which decides how many threads it is worth."""
+        scene = self.loaded.scene
+        if scene.simulation == "deformable":
+            return sum(mesh.n_cells for mesh in self.meshes.values())
+        return scene.n_cells
 
 
 def read_together(
@@ -81,12 +89,8 @@ def _read(
     except InputError as error:
         # With what a check finds in the sound part, so that the user hears of everything at once.
         raise InputError(check_file(path, overrides) or error.faults) from None
-    if ranks > 1 and loaded.scene.linear_solver.method == "scipy_direct":
-        key = ("linear_solver", "method")
-        raise InputError([loaded.fault(key, f"scipy_direct is serial; use ksp on {ranks} ranks")])
-    if ranks > 1 and loaded.scene.contact.method == "ipc":
-        key = ("contact", "method")
-        raise InputError([loaded.fault(key, f"ipc is serial; run on one rank, not {ranks}, or use penalty")])
+    if ranks > 1:
+        _check_ranks(loaded, ranks)
     folder = out if out is not None else Path("results") / loaded.path.stem
     # A run that was killed before its first checkpoint has nothing to go on from: it begins again.
     begin_again = resume and is_unsaved(folder)
@@ -100,7 +104,7 @@ def _read(
             return RunInput(loaded, {}, {}, folder, checkpoint, False, ended=_ENDED[status])
     meshes = load_meshes(loaded)
     skins = load_skins(loaded)
-    faults = check_scene(loaded, meshes)
+    faults = check_loaded(loaded, meshes)
     if faults:
         raise InputError(faults)
     # Told before the work of setting up, not after it.
@@ -108,9 +112,23 @@ def _read(
     return RunInput(loaded, meshes, mesh_file_hashes(loaded), folder, checkpoint, overwrite or begin_again, skins)
 
 
+def _check_ranks(loaded: LoadedScene, ranks: int) -> None:
+    if loaded.scene.simulation != "deformable":
+        message = f"runs on one rank, with threads, not on {ranks}"
+        raise InputError([loaded.fault(("simulation",), f"{loaded.scene.simulation} {message}")])
+    scene = loaded.deformable
+    if scene.linear_solver.method == "scipy_direct":
+        key = ("linear_solver", "method")
+        raise InputError([loaded.fault(key, f"scipy_direct is serial; use ksp on {ranks} ranks")])
+    if scene.contact.method == "ipc":
+        key = ("contact", "method")
+        raise InputError([loaded.fault(key, f"ipc is serial; run on one rank, not {ranks}, or use penalty")])
+
+
 def _check_mesh_files(loaded: LoadedScene, checkpoint: Checkpoint) -> None:
     hashes = mesh_file_hashes(loaded)
     changed = [name for name, digest in hashes.items() if checkpoint.mesh_files.get(name) != digest]
     if changed:
+        sources = loaded.scene.mesh_sources()
         message = f"the mesh file has changed since the checkpoint was written; {START_ANEW}"
-        raise InputError([loaded.fault(("bodies", name, "mesh", "file"), message) for name in changed])
+        raise InputError([loaded.fault((*sources[name][0], "file"), message) for name in changed])

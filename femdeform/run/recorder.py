@@ -1,14 +1,14 @@
 """Writes the result folder of a run, so that every moment of it can be read, resumed and drawn.
 
 The folder holds ``resolved.yaml``, ``result.json``, ``history.csv``, ``iterations.csv`` (traced runs only),
-``frames/frame_00000.vtu`` and on, ``frames.pvd`` and ``final.vtu``. Tables grow by whole rows that are
-flushed at once; every other file is replaced atomically. A run killed at any moment leaves a folder that
-can be read, and a resumed one leaves the files that an unbroken run would have left (but for wall times).
+``frames/frame_00000.vtu`` and on, ``frames.pvd`` and ``final.vtu``; frames of other kinds have other endings. Tables
+grow by whole rows that are flushed at once; every other file is replaced atomically. A run killed at any moment leaves
+a folder that can be read, and a resumed one leaves the files that an unbroken run would have left (but for wall times).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,27 +16,13 @@ from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
 from femdeform.run import atomic, result_folder
+from femdeform.run.course import FrameWriter
 from femdeform.run.plain import to_yaml
 from femdeform.run.table import Table, Value, last_step, time_of_step, truncate_table
-from femdeform.run.vtu import CellData, FrameMesh, VTUWriter, write_pvd
-from femdeform.run.vtu_reader import read_pvd, read_vtu
+from femdeform.run.vtk_xml import write_pvd
+from femdeform.run.vtu import CellData
+from femdeform.run.vtu_reader import read_pvd, read_time
 
-__all__ = ["HISTORY_COLUMNS", "ITERATION_COLUMNS", "FrameMesh", "Recorder"]
-
-HISTORY_COLUMNS = (
-    "step",
-    "time",
-    "dt",
-    "iterations",
-    "linear_iterations",
-    "residual_norm",
-    "relative_residual",
-    "kinetic_energy",
-    "elastic_energy",
-    "potential_energy",
-    "contact_energy",
-    "seconds",
-)
 ITERATION_COLUMNS = (
     "step",
     "iteration",
@@ -59,8 +45,10 @@ class Recorder:
     ----------
     folder : Path
         Result folder; created where it is missing.
-    mesh : FrameMesh
-        Mesh of the frames.
+    writer : FrameWriter
+        Writes the frames.
+    columns : sequence of str
+        First columns of ``history.csv``.
     resume_from_step : int, optional
         Step of the checkpoint the run goes on from; rows and frames after it are dropped.
     trace : bool
@@ -79,14 +67,15 @@ class Recorder:
     def __init__(
         self,
         folder: Path,
-        mesh: FrameMesh,
+        writer: FrameWriter,
+        columns: Sequence[str],
         *,
         resume_from_step: int | None = None,
         trace: bool = False,
         overwrite: bool = False,
     ) -> None:
         self.folder = folder
-        self._writer = VTUWriter(mesh)
+        self._writer = writer
         self._facts: dict[str, Any] = {}
         self._last_step = 0 if resume_from_step is None else resume_from_step
         self._last_time = 0.0
@@ -99,7 +88,7 @@ class Recorder:
         atomic.make_folder(folder / "frames")
         if resume_from_step is not None:
             self._return_to(resume_from_step)
-        self._history = Table(folder / "history.csv", HISTORY_COLUMNS)
+        self._history = Table(folder / "history.csv", columns)
         self._iterations = Table(folder / "iterations.csv", ITERATION_COLUMNS) if trace else None
 
     def start(self, resolved: Mapping[str, Any], facts: Mapping[str, Any]) -> None:
@@ -128,7 +117,7 @@ class Recorder:
         Parameters
         ----------
         row : mapping
-            Values by column. The first row fixes the columns: `HISTORY_COLUMNS` and whatever else it holds. A
+            Values by column. The first row fixes the columns: the first ones given and whatever else it holds. A
             later row may leave columns out (an empty cell), not add any.
 
         Raises
@@ -163,9 +152,9 @@ class Recorder:
         time : float
             Time of the frame [s].
         point_data : dict of str to (n_points,) or (n_points, k) arrays
-            `displacement` [m] is required; 2D vectors are padded with a zero.
+            As the writer of the frames wants them.
         cell_data : dict of str to list of arrays, optional
-            An array per block of the mesh.
+            Likewise.
 
         Returns
         -------
@@ -177,9 +166,9 @@ class Recorder:
         OutputError
             If a file cannot be written.
         ValueError
-            If `displacement` is missing or an array does not fit the mesh.
+            If the data are not what the writer wants.
         """
-        file = f"frames/frame_{index:05d}.vtu"
+        file = f"frames/frame_{index:05d}{self._writer.suffix}"
         self._write_mesh(self.folder / file, time, point_data, cell_data)
         self._frames[file] = float(time)
         self._write_pvd()
@@ -199,7 +188,7 @@ class Recorder:
         final_point_data: Mapping[str, NDArray[Any]],
         final_cell_data: CellData | None = None,
     ) -> None:
-        """Write ``final.vtu`` and the final ``result.json``, and close the tables.
+        """Write the last frame (``final.vtu``) and the final ``result.json``, and close the tables.
 
         Parameters
         ----------
@@ -217,7 +206,9 @@ class Recorder:
         OutputError
             If a file cannot be written.
         """
-        self._write_mesh(self.folder / "final.vtu", self._last_time, final_point_data, final_cell_data)
+        self._write_mesh(
+            self.folder / f"final{self._writer.suffix}", self._last_time, final_point_data, final_cell_data
+        )
         self._facts.update(facts)
         self.sync()
         self._write_result(status, reason)
@@ -233,8 +224,6 @@ class Recorder:
     def _write_mesh(
         self, path: Path, time: float, point_data: Mapping[str, NDArray[Any]], cell_data: CellData | None
     ) -> None:
-        if "displacement" not in point_data:
-            raise ValueError("a frame needs the point data `displacement`")
         self._writer.write(path, float(time), point_data, cell_data or {})
 
     def _write_pvd(self) -> None:
@@ -270,10 +259,10 @@ class Recorder:
             entries = [entry for entry in entries if entry[0] <= time + 1e-12 * abs(time)]
         self._frames = {file: moment for moment, file in entries if (self.folder / file).exists()}
         with atomic.writing(self.folder / "frames"):
-            for path in (self.folder / "frames").glob("frame_*.vtu"):
+            for path in (self.folder / "frames").glob(f"frame_*{self._writer.suffix}"):
                 if f"frames/{path.name}" not in self._frames:
                     path.unlink()
-            (self.folder / "final.vtu").unlink(missing_ok=True)
+            (self.folder / f"final{self._writer.suffix}").unlink(missing_ok=True)
         if self._frames or (self.folder / "frames.pvd").exists():
             self._write_pvd()
 
@@ -281,5 +270,5 @@ class Recorder:
         if (self.folder / "frames.pvd").exists():
             return read_pvd(self.folder / "frames.pvd")
         # The list is lost, the frames are not: each knows its time.
-        files = [f"frames/{path.name}" for path in (self.folder / "frames").glob("frame_*.vtu")]
-        return [(read_vtu(self.folder / file).time, file) for file in files]
+        files = [f"frames/{path.name}" for path in (self.folder / "frames").glob(f"frame_*{self._writer.suffix}")]
+        return [(read_time(self.folder / file), file) for file in files]

@@ -18,6 +18,8 @@ from femdeform.run.table import last_step
 # Named like a leftover of `atomic`, so that it goes with those.
 _RESERVE = ".reserve.part"
 
+# The last frame, by the kind of the simulation.
+_FINAL = ("final.vtu", "final.vtp", "final.vti")
 # Everything a run, or what is drawn from it, leaves in its folder: the files that an overwriting run removes.
 _OWN_FILES = (
     "resolved.yaml",
@@ -25,15 +27,15 @@ _OWN_FILES = (
     "history.csv",
     "iterations.csv",
     "frames.pvd",
-    "final.vtu",
+    *_FINAL,
     "checkpoint.h5",
     "skins.npz",
     "report.html",
     "view.png",
 )
-_OWN_FOLDERS = {"frames": "frame_*.vtu", "plots": "*.png"}
+_OWN_FOLDERS = {"frames": "frame_*.vt?", "plots": "*.png"}
 # Any of these says that the folder belongs to a run.
-_MARKS = ("result.json", "history.csv", "iterations.csv", "frames.pvd", "final.vtu", "checkpoint.h5")
+_MARKS = ("result.json", "history.csv", "iterations.csv", "frames.pvd", *_FINAL, "checkpoint.h5")
 
 
 def check_vacant(folder: Path) -> None:

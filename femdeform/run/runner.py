@@ -11,27 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from femdeform import parallel
-from femdeform.errors import InputError
-from femdeform.fem.incremental_potential import State
+from femdeform import parallel, registry
 from femdeform.jit import CompilationAnnouncer
-from femdeform.run.checkpoint import START_ANEW, Checkpoint, write_checkpoint
-from femdeform.run.expectations import check_expectations, describe_verdict
+from femdeform.run.checkpoint import Checkpoint, write_checkpoint
+from femdeform.run.course import Course
+from femdeform.run.expectations import describe_verdict
 from femdeform.run.failure import end_all_ranks, reason_of
 from femdeform.run.inputs import RunInput, read_together
 from femdeform.run.interrupts import INTERRUPTED, Interrupts, last_words
-from femdeform.run.links import link_lines
-from femdeform.run.output import FrameSource
 from femdeform.run.progress import Progress
-from femdeform.run.quantities import Meter, Snapshot, standard_quantities
 from femdeform.run.recorder import Recorder
 from femdeform.run.result_folder import mark_ended
-from femdeform.run.setup import Simulation, build_simulation
-from femdeform.run.skin import bind_skins, write_skins
 from femdeform.run.table import read_table
 from femdeform.run.threads import use_threads
-from femdeform.run.time_loop import LoopOutcome, StepControl, default_min_dt, run_time_loop
-from femdeform.step_problem import IterationObserver, StepResult
+from femdeform.run.time_loop import (
+    LoopOutcome,
+    Moment,
+    StepControl,
+    StepReport,
+    default_min_dt,
+    run_time_loop,
+)
+from femdeform.step_problem import IterationObserver
 from femdeform.types import FloatArray
 
 
@@ -108,7 +109,7 @@ class _End:
     code: int
     status: str
     advice: str
-    state: State
+    state: Moment
     verdicts: list[dict[str, Any]]
 
 
@@ -131,20 +132,13 @@ class _Run:
         self.is_first = comm is None or comm.Get_rank() == 0
         self.folder = given.folder
         self.mesh_files = given.mesh_files
-        self.surfaces = given.skins
         self.interrupts = interrupts
         self.trace = trace
         self.quiet = quiet
         self.begin = time.perf_counter()
-        n_cells = sum(mesh.n_cells for mesh in given.meshes.values())
-        self.threads = use_threads(threads, n_cells)
+        self.threads = use_threads(threads, given.n_cells)
         self.progress = Progress(self.scene.time.end, self.is_first and not quiet)
-        self.simulation: Simulation = build_simulation(self.scene, given.meshes, comm)
-        self.frames = FrameSource(self.simulation)
-        self.meter = Meter(self.simulation)
-        self.measured: dict[str, float] = {}
-        # Forces of the supports at the last state [N]; before the first step nothing tells them.
-        self.reactions: FloatArray | None = None
+        self.course: Course[Any, Any] = registry.resolve(registry.COURSES[self.scene.simulation])(given, comm)
         self.n_frames = 0
         self.n_failures = 0
         self.limited_dt = 0.0
@@ -157,7 +151,7 @@ class _Run:
             halve=on_failure.action == "halve_dt",
         )
         self.earlier_seconds = 0.0 if checkpoint is None else checkpoint.seconds
-        self.state = self.simulation.state if checkpoint is None else self._restore(checkpoint)
+        self.state: Moment = self.course.start if checkpoint is None else self._restore(checkpoint)
         self.resumed = checkpoint is not None
         self.last_saved = self.state.step if self.resumed else -1
         self.next_dt, self.streak = self.control.current, self.control.streak
@@ -165,7 +159,12 @@ class _Run:
         if self.is_first:
             step = self.state.step if self.resumed else None
             self.recorder = Recorder(
-                self.folder, self.frames.mesh, resume_from_step=step, trace=trace, overwrite=given.overwrite
+                self.folder,
+                self.course.writer,
+                self.course.columns,
+                resume_from_step=step,
+                trace=trace,
+                overwrite=given.overwrite,
             )
 
     # ---------------------------------------------------------------------------------------------- running
@@ -188,16 +187,16 @@ class _Run:
         self._say(end)
         return end.code
 
-    def _run(self) -> LoopOutcome:
+    def _run(self) -> LoopOutcome[Moment]:
         if self.comm is not None:
             # Ranks have to stop at the same step; the launcher may lack the patience to wait for that.
             self.interrupts.hold(self._mark_interrupted)
-        skins, loose = bind_skins(self.simulation, self.surfaces) if self.is_first else ([], [])
-        for text in [*self.loaded.notices, *self.simulation.notices, *loose]:
+        for text in [*self.loaded.notices, *self.course.notices]:
             self.progress.notice(f"note: {text}")
         if self.recorder is not None:
             self.recorder.start(self._resolved(), self._facts())
-            write_skins(self.folder, skins)
+            for text in self.course.write_beside(self.folder):
+                self.progress.notice(f"note: {text}")
         if not self.resumed:
             self._write_frame(self.state)
             self._save(self.state)
@@ -206,8 +205,7 @@ class _Run:
         overflow = np.errstate(over="ignore", invalid="ignore")
         with CompilationAnnouncer(self.progress.notice), self.progress, overflow:
             return run_time_loop(
-                self.simulation.problem,
-                self.simulation.solver,
+                self.course,
                 self.control,
                 self.state,
                 on_accept=self._on_accept,
@@ -216,12 +214,12 @@ class _Run:
                 on_limit=self._on_limit,
             )
 
-    def _on_accept(self, state: State, result: StepResult, dt: float) -> None:
+    def _on_accept(self, state: Moment, report: StepReport, dt: float) -> None:
         if self.control.is_done(state.time):
             self.interrupts.hold()  # all there is left to do is to write, and that takes a moment
         # A step is recorded as a whole or not at all: an interrupt waits for that.
         with self.interrupts.held():
-            self._record(state, result, dt)
+            self._record(state, report, dt)
         if not self.control.is_done(state.time):
             self._stop_together()
 
@@ -230,8 +228,7 @@ class _Run:
         if self.comm is not None and self.comm.allreduce(int(self.interrupts.is_pending)):
             raise KeyboardInterrupt
 
-    def _record(self, state: State, result: StepResult, dt: float) -> None:
-        problem = self.simulation.problem
+    def _record(self, state: Moment, report: StepReport, dt: float) -> None:
         self.state = state
         # Not what is in use when a checkpoint is written: that may belong to a later attempt.
         self.next_dt, self.streak = self.control.current, self.control.streak
@@ -240,25 +237,13 @@ class _Run:
             "step": state.step,
             "time": state.time,
             "dt": dt,
-            "iterations": result.iterations,
-            "linear_iterations": result.linear_iterations,
-            "residual_norm": result.residual_norm,
-            "relative_residual": result.relative_residual,
-            "kinetic_energy": problem.kinetic_energy(state.v),
-            "elastic_energy": problem.elastic_energy(state.x),
-            "potential_energy": problem.load_potential(state.x),
-            "contact_energy": problem.contact_energy(state.x),
+            "iterations": report.iterations,
+            "relative_residual": report.relative_residual,
             "seconds": now - self.step_begin,
-            "force_scale": problem.force_scale,
             "failed_attempts": self.n_failures,
-            "stopped_by": result.reason,
+            "stopped_by": report.reason,
+            **self.course.row(state, report),
         }
-        if problem.links is not None:
-            row["link_energy"] = problem.link_energy(state.x)
-        self.measured = {f"measure.{name}": value for name, value in self.meter.evaluate(state).items()}
-        if "reaction" in self.scene.output.fields:
-            self.reactions = Snapshot(self.simulation, state).reactions
-        row.update(self.measured)
         self.n_failures = 0
         if self.recorder is not None:
             self.recorder.step(row)
@@ -267,23 +252,23 @@ class _Run:
         # The end is saved with its verdicts, for which the forces of the last step are needed.
         if state.step % self.scene.output.checkpoint_every == 0 and not self.control.is_done(state.time):
             self._save(state)
-        self.progress.advance(state.step, state.time, result.relative_residual, result.iterations)
+        self.progress.advance(state.step, state.time, report.relative_residual, report.iterations)
         self.step_begin = time.perf_counter()
 
-    def _on_failure(self, state: State, result: StepResult, dt: float, retry: bool) -> None:
+    def _on_failure(self, state: Moment, report: StepReport, dt: float, retry: bool) -> None:
         self.n_failures += 1
         if retry:
             self.progress.notice(
-                f"step {state.step + 1} with dt = {dt:.3g} s: {result.reason}; trying dt = {self.control.current:.3g} s"
+                f"step {state.step + 1} with dt = {dt:.3g} s: {report.reason}; trying dt = {self.control.current:.3g} s"
             )
         self._stop_together()
 
-    def _on_limit(self, state: State, dt: float, limit: float) -> None:
+    def _on_limit(self, state: Moment, dt: float, limit: float) -> None:
         if dt != self.limited_dt:
             self.limited_dt = dt
             self.progress.notice(
-                f"step {state.step + 1}: dt = {dt:.3g} s, for bodies may cross only a part of a cell in a step "
-                f"(grid.cfl: {limit:.3g} s)"
+                f"step {state.step + 1}: dt = {dt:.3g} s, for steps may not be longer than {limit:.3g} s "
+                f"({self.course.limited_by})"
             )
 
     def _observer(self, step: int) -> IterationObserver | None:
@@ -298,25 +283,21 @@ class _Run:
 
     # ---------------------------------------------------------------------------------------------- output
 
-    def _write_frame(self, state: State) -> None:
-        points = self.frames.point_data(state, self.reactions)
-        cells = self.frames.cell_data(state)
-        if self.recorder is not None and points is not None:
-            self.recorder.frame(self.n_frames, state.time, points, cells)
+    def _write_frame(self, state: Moment) -> None:
+        data = self.course.frame(state)
+        if self.recorder is not None and data is not None:
+            self.recorder.frame(self.n_frames, state.time, *data)
         self.n_frames += 1
 
-    def _save(self, state: State) -> None:
+    def _save(self, state: Moment) -> None:
         """Write a checkpoint, and forget what the solvers remember: a resumed run starts without it too."""
-        partition = self.simulation.discretization.partition
-        x, v = partition.gather(state.x), partition.gather(state.v)
-        affine = None if state.affine is None else partition.gather(state.affine)
-        if self.recorder is not None and x is not None and v is not None:
+        fields = self.course.fields(state)
+        if self.recorder is not None and fields is not None:
             self.recorder.sync()
             write_checkpoint(
                 self.folder,
                 Checkpoint(
-                    x,
-                    v,
+                    fields,
                     state.time,
                     state.step,
                     self.next_dt,
@@ -325,26 +306,21 @@ class _Run:
                     self._seconds(),
                     self.loaded.hash,
                     self.mesh_files,
-                    affine,
                 ),
             )
-        self.simulation.reset()
+        self.course.reset()
         self.last_saved = state.step
 
-    def _restore(self, checkpoint: Checkpoint) -> State:
-        partition = self.simulation.discretization.partition
-        if checkpoint.x.shape != (partition.n_global, self.simulation.discretization.dim):
-            raise InputError(f"{self.folder}: the checkpoint is of another mesh; {START_ANEW}")
+    def _restore(self, checkpoint: Checkpoint) -> Moment:
+        state: Moment = self.course.restored(checkpoint.fields, checkpoint.time, checkpoint.step)
         self.control.current, self.control.streak = checkpoint.current_dt, checkpoint.streak
         self.n_frames = checkpoint.frames
-        affine = None if checkpoint.affine is None else partition.restrict(checkpoint.affine)
-        x, v = partition.restrict(checkpoint.x), partition.restrict(checkpoint.v)
-        return State(x, v, checkpoint.time, checkpoint.step, affine)
+        return state
 
     def _seconds(self) -> float:
         return self.earlier_seconds + time.perf_counter() - self.begin
 
-    def _finish(self, outcome: LoopOutcome) -> _End:
+    def _finish(self, outcome: LoopOutcome[Moment]) -> _End:
         verdicts, quantities = self._judge(outcome)
         failed = [v for v in verdicts if not v["passed"]]
         if not outcome.finished:
@@ -357,12 +333,12 @@ class _Run:
         self._record_end(outcome.state, status, reason, verdicts, quantities)
         if self.last_saved != outcome.state.step:
             self._save(outcome.state)
-        self.simulation.destroy()
+        self.course.destroy()
         return _End(code, status, reason, outcome.state, verdicts)
 
-    def _judge(self, outcome: LoopOutcome) -> tuple[list[dict[str, Any]], dict[str, float]]:
+    def _judge(self, outcome: LoopOutcome[Moment]) -> tuple[list[dict[str, Any]], dict[str, float]]:
         """Verdicts of `expect` and the quantities at the end; the same on all ranks."""
-        quantities = standard_quantities(self.simulation, outcome.state) | self.measured
+        quantities = self.course.quantities(outcome.state)
         if not outcome.finished:
             return [], quantities
         history = None
@@ -370,7 +346,7 @@ class _Run:
             history = read_table(self.folder / "history.csv")
         if self.comm is not None:
             history = self.comm.bcast(history, root=0)
-        return check_expectations(self.simulation, outcome.state, history), quantities
+        return self.course.verdicts(outcome.state, history), quantities
 
     def _interrupted(self) -> _End:
         if self.last_saved < 0:
@@ -403,15 +379,14 @@ class _Run:
 
     def _record_end(
         self,
-        state: State,
+        state: Moment,
         status: str,
         reason: str,
         verdicts: list[dict[str, Any]],
         quantities: Mapping[str, float] | None = None,
     ) -> None:
-        points = self.frames.point_data(state, self.reactions)
-        cells = self.frames.cell_data(state)
-        if self.recorder is not None and points is not None:
+        data = self.course.frame(state)
+        if self.recorder is not None and data is not None:
             facts = {
                 "wall_seconds": self._seconds(),
                 "expect": verdicts,
@@ -419,7 +394,7 @@ class _Run:
                 "steps": state.step,
                 "time": state.time,
             }
-            self.recorder.finish(status, reason, facts, points, cells)
+            self.recorder.finish(status, reason, facts, *data)
 
     def _say(self, end: _End) -> None:
         if not self.is_first:
@@ -435,30 +410,19 @@ class _Run:
 
     def _resolved(self) -> dict[str, Any]:
         resolved: dict[str, Any] = self.scene.model_dump(mode="json", exclude_none=True)
-        for body in resolved["bodies"].values():
-            for source in (body["mesh"], body.get("skin", {})):
-                if "file" in source:
-                    source["file"] = str((self.loaded.base_dir / source["file"]).resolve())
+        self.course.resolve(resolved)
         return resolved
 
     def _facts(self) -> dict[str, Any]:
         from femdeform.info import versions
 
-        discretization = self.simulation.discretization
         return {
             "title": self.scene.title,
             "simulation": self.scene.simulation,
-            "method": self.scene.solver.method,
-            "linear_solver": self.simulation.linear_solver.name,
-            "residual_tolerance": self.scene.solver.accuracy,
-            "n_dofs": discretization.n_dofs,
-            "n_cells": sum(mesh.n_cells for mesh in self.simulation.meshes.values()),
             "ranks": 1 if self.comm is None else self.comm.Get_size(),
             "threads": self.threads,
             "versions": versions(),
             "scene_hash": self.loaded.hash,
             "scene_file": self.loaded.path.name,
-            "bodies": list(self.scene.bodies),
-            "obstacles": [obstacle.model_dump(mode="json") for obstacle in self.scene.obstacles],
-            "link_lines": link_lines(self.scene, self.simulation.meshes),
+            **self.course.facts(),
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
 
 from femdeform.fem.incremental_potential import IncrementalPotential, State
 from femdeform.mpm.embedded_potential import EmbeddedPotential
@@ -16,8 +17,57 @@ _REMAINDER = 1e-9
 _PATIENCE = 3
 
 
-# What a run steps: bodies by the nodes of their meshes, or by those of a grid.
+# What a deformable run steps: bodies by the nodes of their meshes, or by those of a grid.
 Problem = IncrementalPotential | EmbeddedPotential
+
+
+class Moment(Protocol):
+    """A state of any simulation, as far as a time loop looks into it."""
+
+    @property
+    def time(self) -> float:
+        """Time [s]."""
+
+    @property
+    def step(self) -> int:
+        """Accepted steps that led to it."""
+
+
+class StepReport(Protocol):
+    """What became of an attempt at a step, as far as a time loop and its messages look into it."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the loop goes on from the new state."""
+
+    @property
+    def reason(self) -> str:
+        """Why the attempt ended, in words."""
+
+    @property
+    def iterations(self) -> int:
+        """Iterations it took, of the kind that the simulation counts."""
+
+    @property
+    def relative_residual(self) -> float:
+        """What is left of the equations over what there was [-]."""
+
+
+M = TypeVar("M", bound=Moment)
+R = TypeVar("R", bound=StepReport)
+R_co = TypeVar("R_co", bound=StepReport, covariant=True)
+
+
+class Stepper(Protocol[M, R_co]):
+    """What a time loop steps."""
+
+    limited_by: str  # what keeps steps below `step_limit`, in words
+
+    def step_limit(self, state: M) -> float:
+        """Longest step that may be taken from a state [s]."""
+
+    def attempt(self, state: M, dt: float, observe: IterationObserver | None) -> tuple[M, R_co]:
+        """Try a step; the state it leads to, which counts only if the report says so. The one given stays as it is."""
 
 
 @dataclass
@@ -87,12 +137,12 @@ class StepControl:
 
 
 @dataclass(frozen=True)
-class LoopOutcome:
+class LoopOutcome(Generic[M]):
     """How a loop ended.
 
     Attributes
     ----------
-    state : State
+    state : Moment
         Last accepted state.
     finished : bool
         Whether the end time was reached.
@@ -100,23 +150,66 @@ class LoopOutcome:
         Why not, in words; empty if finished.
     """
 
-    state: State
+    state: M
     finished: bool
     reason: str
 
 
 def run_time_loop(
-    problem: Problem,
-    solver: StepSolver,
+    stepper: Stepper[M, R],
     control: StepControl,
-    state: State,
+    state: M,
     *,
-    on_accept: Callable[[State, StepResult, float], None],
-    on_failure: Callable[[State, StepResult, float, bool], None],
+    on_accept: Callable[[M, R, float], None],
+    on_failure: Callable[[M, R, float, bool], None],
     observe: Callable[[int], IterationObserver | None],
-    on_limit: Callable[[State, float, float], None] | None = None,
-) -> LoopOutcome:
+    on_limit: Callable[[M, float, float], None] | None = None,
+) -> LoopOutcome[M]:
     """Step from a state to the end of the control's time.
+
+    Parameters
+    ----------
+    stepper : Stepper
+        Takes a step.
+    control : StepControl
+        Changed on the way.
+    state : Moment
+        Where to start.
+    on_accept : callable
+        Called with the new state, the report of the step and its size after every accepted step.
+    on_failure : callable
+        Called with the last accepted state, the report, the step size and whether the step will be retried.
+    observe : callable
+        Gives the observer of the iterations of a step number.
+    on_limit : callable, optional
+        Called with the last accepted state, the step size and the limit before a step that the stepper makes shorter.
+
+    Returns
+    -------
+    LoopOutcome
+    """
+    while not control.is_done(state.time):
+        limit = stepper.step_limit(state)
+        dt = control.bounded_step(state.time, limit)
+        if dt is None:
+            return LoopOutcome(state, False, _limit_text(state, limit, control, stepper.limited_by))
+        if on_limit is not None and dt < control.next_step(state.time):
+            on_limit(state, dt, limit)
+        new, report = stepper.attempt(state, dt, observe(state.step + 1))
+        if report.accepted:
+            state = new
+            control.accepted()
+            on_accept(state, report, dt)
+            continue
+        retry = control.failed(dt)
+        on_failure(state, report, dt, retry)
+        if not retry:
+            return LoopOutcome(state, False, _failure_text(state, dt, report, control))
+    return LoopOutcome(state, True, "")
+
+
+class SolverStepper:
+    """Steps a problem of deformable bodies with a solver.
 
     Parameters
     ----------
@@ -124,41 +217,22 @@ def run_time_loop(
         What to solve.
     solver : StepSolver
         How to solve a step.
-    control : StepControl
-        Changed on the way.
-    state : State
-        Where to start.
-    on_accept : callable
-        Called with the new state, the solver's result and the step size after every accepted step.
-    on_failure : callable
-        Called with the last accepted state, the result, the step size and whether the step will be retried.
-    observe : callable
-        Gives the observer of the iterations of a step number.
-    on_limit : callable, optional
-        Called with the last accepted state, the step size and the limit before a step that the problem makes shorter.
-
-    Returns
-    -------
-    LoopOutcome
     """
-    while not control.is_done(state.time):
-        limit = problem.step_limit(state)
-        dt = control.bounded_step(state.time, limit)
-        if dt is None:
-            return LoopOutcome(state, False, _limit_text(state, limit, control))
-        if on_limit is not None and dt < control.next_step(state.time):
-            on_limit(state, dt, limit)
-        result = take_step(problem, solver, state, dt, observe(state.step + 1))
-        if result.accepted:
-            state = problem.accept(state, result.x)
-            control.accepted()
-            on_accept(state, result, dt)
-            continue
-        retry = control.failed(dt)
-        on_failure(state, result, dt, retry)
-        if not retry:
-            return LoopOutcome(state, False, _failure_text(state, dt, result, control))
-    return LoopOutcome(state, True, "")
+
+    limited_by = "grid.cfl: bodies move too fast for the cells"
+
+    def __init__(self, problem: Problem, solver: StepSolver) -> None:
+        self._problem = problem
+        self._solver = solver
+
+    def step_limit(self, state: State) -> float:
+        """Longest step that may be taken from a state [s]."""
+        return self._problem.step_limit(state)
+
+    def attempt(self, state: State, dt: float, observe: IterationObserver | None) -> tuple[State, StepResult]:
+        """Try a step; see `Stepper`."""
+        result = take_step(self._problem, self._solver, state, dt, observe)
+        return (self._problem.accept(state, result.x) if result.accepted else state), result
 
 
 def take_step(
@@ -174,17 +248,17 @@ def take_step(
     return replace(result, converged=False, is_fixed_work=False, reason=refusal) if refusal else result
 
 
-def _limit_text(state: State, limit: float, control: StepControl) -> str:
+def _limit_text(state: Moment, limit: float, control: StepControl, why: str) -> str:
     return (
-        f"step {state.step + 1} from t = {state.time:.6g} s may not be longer than {limit:.3g} s (grid.cfl: bodies "
-        f"move too fast for the cells); dt is not halved below min_dt = {control.min_dt:.3g} s"
+        f"step {state.step + 1} from t = {state.time:.6g} s may not be longer than {limit:.3g} s ({why}); dt is not "
+        f"halved below min_dt = {control.min_dt:.3g} s"
     )
 
 
-def _failure_text(state: State, dt: float, result: StepResult, control: StepControl) -> str:
+def _failure_text(state: Moment, dt: float, report: StepReport, control: StepControl) -> str:
     text = (
-        f"step {state.step + 1} to t = {state.time + dt:.6g} s failed with dt = {dt:.3g} s: {result.reason} "
-        f"(relative residual {result.relative_residual:.2e})"
+        f"step {state.step + 1} to t = {state.time + dt:.6g} s failed with dt = {dt:.3g} s: {report.reason} "
+        f"(relative residual {report.relative_residual:.2e})"
     )
     if control.halve:
         text += f"; dt cannot be halved below min_dt = {control.min_dt:.3g} s"

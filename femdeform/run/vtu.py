@@ -1,25 +1,20 @@
-"""Unstructured-grid files (.vtu) and their time series (.pvd), written without VTK.
+"""Unstructured-grid files (.vtu) of a mesh that deforms.
 
 A frame repeats the mesh, which never changes: its points and cells are compressed once, and a frame then
-costs the compression of its own fields only. Arrays are stored inline as zlib blocks in base64, so that a
-file is well-formed XML, needs no byte offsets, and is read by ParaView, VTK and meshio alike. Numbers keep
-all their digits.
+costs the compression of its own fields only.
 """
 
 from __future__ import annotations
 
-import base64
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 
-from femdeform.run import atomic
+from femdeform.run.vtk_xml import as_vtk_columns, data_array, write_document
 from femdeform.types import FloatArray, IntArray
 
 # VTK's number and node count of each cell; quadratic cells have the mid nodes of edges 01, 12, 20, then 03,
@@ -31,13 +26,6 @@ VTK_CELLS: dict[str, tuple[int, int]] = {
     "triangle6": (22, 6),
     "tetra10": (24, 10),
 }
-
-_TYPE_NAMES = {"f8": "Float64", "f4": "Float32", "i8": "Int64", "i4": "Int32", "u1": "UInt8"}
-DTYPES = {name: np.dtype("<" + code) for code, name in _TYPE_NAMES.items()}
-HEADER = np.dtype("<u8")
-
-_BLOCK = 1 << 20  # bytes a zlib block holds before compression
-_LEVEL = 1  # higher levels cost several times as long and save a few percent on floating-point data
 
 CellData = Mapping[str, Sequence[NDArray[Any]]]
 
@@ -125,6 +113,8 @@ class VTUWriter:
         Mesh of all frames.
     """
 
+    suffix = ".vtu"
+
     def __init__(self, mesh: FrameMesh) -> None:
         self.mesh = mesh
         sizes = [np.full(len(cells), cells.shape[1], dtype=np.int64) for _, cells in mesh.blocks]
@@ -132,16 +122,16 @@ class VTUWriter:
         connectivity = [np.asarray(cells, dtype=np.int64).ravel() for _, cells in mesh.blocks]
         geometry = [
             "<Points>\n",
-            _data_array("Points", as_vtk_columns(mesh.points)),
+            data_array("Points", as_vtk_columns(mesh.points)),
             "</Points>\n<Cells>\n",
-            _data_array("connectivity", _concatenate(connectivity, np.int64)),
-            _data_array("offsets", np.cumsum(_concatenate(sizes, np.int64), dtype=np.int64)),
-            _data_array("types", _concatenate(types, np.uint8)),
+            data_array("connectivity", _concatenate(connectivity, np.int64)),
+            data_array("offsets", np.cumsum(_concatenate(sizes, np.int64), dtype=np.int64)),
+            data_array("types", _concatenate(types, np.uint8)),
             "</Cells>\n",
         ]
         self._geometry = "".join(geometry)
         self._cell_arrays = {
-            name: _data_array(name, as_vtk_columns(join_cell_data(mesh, name, arrays)))
+            name: data_array(name, as_vtk_columns(join_cell_data(mesh, name, arrays)))
             for name, arrays in mesh.cell_data.items()
         }
 
@@ -164,96 +154,27 @@ class VTUWriter:
         OutputError
             If the file cannot be written.
         ValueError
-            If an array does not fit the mesh.
+            If `displacement` is missing or an array does not fit the mesh.
         """
+        if "displacement" not in point_data:
+            raise ValueError("a frame needs the point data `displacement`")
         for name, array in point_data.items():
             if len(array) != self.mesh.n_points:
                 raise ValueError(f"point data {name!r} of length {len(array)}, {self.mesh.n_points} points")
         cell_arrays = dict(self._cell_arrays)
         for name, arrays in cell_data.items():
-            cell_arrays[name] = _data_array(name, as_vtk_columns(join_cell_data(self.mesh, name, arrays)))
-        text = [
-            '<?xml version="1.0"?>\n',
-            '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64" ',
-            'compressor="vtkZLibDataCompressor">\n<UnstructuredGrid>\n',
-            "<FieldData>\n",
-            _data_array("TimeValue", np.array([time]), tuples=1),
-            "</FieldData>\n",
+            cell_arrays[name] = data_array(name, as_vtk_columns(join_cell_data(self.mesh, name, arrays)))
+        piece = [
             f'<Piece NumberOfPoints="{self.mesh.n_points}" NumberOfCells="{self.mesh.n_cells}">\n',
             self._geometry,
-            "<PointData" + (' Vectors="displacement"' if "displacement" in point_data else "") + ">\n",
-            *(_data_array(name, as_vtk_columns(np.asarray(array))) for name, array in point_data.items()),
+            '<PointData Vectors="displacement">\n',
+            *(data_array(name, as_vtk_columns(np.asarray(array))) for name, array in point_data.items()),
             "</PointData>\n<CellData>\n",
             *cell_arrays.values(),
-            "</CellData>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>\n",
+            "</CellData>\n</Piece>\n",
         ]
-        atomic.write_text(path, "".join(text))
-
-
-def write_pvd(path: Path, entries: Sequence[tuple[float, str]]) -> None:
-    """Write the list of frames that ParaView opens as one animation.
-
-    Parameters
-    ----------
-    path : Path
-        The ``.pvd`` file.
-    entries : sequence of (time, file)
-        Time [s] and path of each frame relative to the ``.pvd``, with forward slashes.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
-    rows = [f'<DataSet timestep="{time!r}" part="0" file={quoteattr(file)}/>\n' for time, file in entries]
-    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n<Collection>\n'
-    atomic.write_text(path, head + "".join(rows) + "</Collection>\n</VTKFile>\n")
-
-
-def as_vtk_columns(array: NDArray[Any]) -> NDArray[Any]:
-    """Bring an array into the columns VTK takes for scalars, vectors and tensors.
-
-    Parameters
-    ----------
-    array : (n,), (n, k), (n, 2, 2) or (n, 3, 3) array
-        Two components become three with a zero, 2 x 2 becomes the upper left part of 3 x 3, row by row.
-    """
-    if array.ndim == 3 and array.shape[1:] == (2, 2):
-        array = np.pad(array, ((0, 0), (0, 1), (0, 1)))
-    if array.ndim == 3 and array.shape[1:] == (3, 3):
-        return np.reshape(array, (len(array), 9))
-    if array.ndim == 2 and array.shape[1] == 2:
-        return np.pad(array, ((0, 0), (0, 1)))
-    if array.ndim == 2 and array.shape[1] == 1:
-        return array[:, 0]
-    if array.ndim > 2 or array.ndim < 1:
-        raise ValueError(f"an array of shape {array.shape} is neither scalars, vectors nor tensors")
-    return array
+        write_document(path, "UnstructuredGrid", "", time, piece)
 
 
 def _concatenate(arrays: list[NDArray[Any]], dtype: type) -> NDArray[Any]:
     return np.concatenate(arrays) if arrays else np.zeros(0, dtype=dtype)
-
-
-def _data_array(name: str, array: NDArray[Any], *, tuples: int | None = None) -> str:
-    if array.dtype == np.bool_:
-        array = array.astype(np.uint8)
-    code = f"{array.dtype.kind}{array.dtype.itemsize}"
-    if code not in _TYPE_NAMES:
-        array = array.astype(np.float64 if array.dtype.kind == "f" else np.int64)
-        code = f"{array.dtype.kind}{array.dtype.itemsize}"
-    attributes = f'type="{_TYPE_NAMES[code]}" Name={quoteattr(name)}'
-    if array.ndim == 2:
-        attributes += f' NumberOfComponents="{array.shape[1]}"'
-    if tuples is not None:
-        attributes += f' NumberOfTuples="{tuples}"'
-    encoded = _encode(np.ascontiguousarray(array, dtype=DTYPES[_TYPE_NAMES[code]]))
-    return f'<DataArray {attributes} format="binary">{encoded}</DataArray>\n'
-
-
-def _encode(array: NDArray[Any]) -> str:
-    data = array.tobytes()
-    blocks = [zlib.compress(data[start : start + _BLOCK], _LEVEL) for start in range(0, len(data), _BLOCK)]
-    # Number of blocks, size of a full block, size of the last one when it is not full, compressed sizes.
-    header = np.array([len(blocks), _BLOCK, len(data) % _BLOCK, *map(len, blocks)], dtype=HEADER)
-    return (base64.b64encode(header.tobytes()) + base64.b64encode(b"".join(blocks))).decode("ascii")

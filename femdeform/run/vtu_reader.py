@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
-from femdeform.run.vtu import DTYPES, HEADER, VTK_CELLS
+from femdeform.run.vtk_xml import DTYPES, HEADER
+from femdeform.run.vtu import VTK_CELLS
 from femdeform.types import FloatArray, IntArray
 
 _NAMES = {number: name for name, (number, _) in VTK_CELLS.items()}
@@ -53,7 +54,6 @@ def read_vtu(path: Path) -> VTUContents:
         points = _read_array(_child(piece, "Points/DataArray"))
         cells = {array.get("Name"): _read_array(array) for array in piece.findall("Cells/DataArray")}
         blocks, bounds = _split_blocks(cells["connectivity"], cells["offsets"], cells["types"])
-        time = root.find("UnstructuredGrid/FieldData/DataArray[@Name='TimeValue']")
         point_data = {str(a.get("Name")): _read_array(a) for a in piece.findall("PointData/DataArray")}
         cell_data = {str(a.get("Name")): _read_array(a) for a in piece.findall("CellData/DataArray")}
         counts = int(piece.get("NumberOfPoints", -1)), int(piece.get("NumberOfCells", -1))
@@ -65,7 +65,7 @@ def read_vtu(path: Path) -> VTUContents:
             if block.size and (block.min() < 0 or block.max() >= counts[0]):
                 raise ValueError("a cell refers to a point that is not there")
         return VTUContents(
-            time=float(_read_array(time)[0]) if time is not None else float("nan"),
+            time=_time_of(root),
             points=points.astype(np.float64),
             blocks=blocks,
             point_data=point_data,
@@ -78,6 +78,26 @@ def read_vtu(path: Path) -> VTUContents:
     except (OSError, ElementTree.ParseError, zlib.error, ValueError, KeyError, IndexError) as error:
         message = f"the file is corrupt or not a frame of femdeform ({error})"
         raise InputError([Fault(str(path), 0, "", message)]) from error
+
+
+def read_time(path: Path) -> float:
+    """Time of a frame of any kind [s]; NaN where it has none.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    try:
+        return _time_of(ElementTree.parse(path).getroot())
+    except (OSError, ElementTree.ParseError, zlib.error, ValueError, KeyError, IndexError) as error:
+        message = f"the file is corrupt or not a frame of femdeform ({error})"
+        raise InputError([Fault(str(path), 0, "", message)]) from error
+
+
+def _time_of(root: ElementTree.Element) -> float:
+    time = root.find("*/FieldData/DataArray[@Name='TimeValue']")
+    return float(_read_array(time)[0]) if time is not None else float("nan")
 
 
 def read_pvd(path: Path) -> list[tuple[float, str]]:

@@ -12,6 +12,7 @@ from femdeform.errors import Fault, InputError
 from femdeform.scene import schema
 from femdeform.scene.contact_checks import contact_findings
 from femdeform.scene.contact_schema import IPCMethod, WeakConstraintMethod
+from femdeform.scene.flow_checks import flow_findings
 from femdeform.scene.grid_checks import grid_findings
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.link_checks import link_findings
@@ -31,8 +32,16 @@ from femdeform.types import Mesh
 _NEEDS_FACETS = (schema.Traction, schema.Pressure)
 
 
+def check_loaded(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterable[str] = ()) -> list[Fault]:
+    """Return everything wrong with a scene of any kind that passed the schema; parameters as for `check_scene`."""
+    if loaded.scene.simulation == "incompressible_flow":
+        findings = flow_findings(loaded.scene, meshes)
+        return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
+    return check_scene(loaded, meshes, coarse)
+
+
 def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterable[str] = ()) -> list[Fault]:
-    """Return everything wrong with a scene that passed the schema.
+    """Return everything wrong with a scene of deformable bodies that passed the schema.
 
     Parameters
     ----------
@@ -50,17 +59,17 @@ def check_scene(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterabl
         Sorted by line; empty if the scene can be run.
     """
     findings = [
-        *_body_findings(loaded.scene, meshes),
-        *_dimension_findings(loaded.scene, meshes),
-        *_selection_findings(loaded.scene, meshes, frozenset(coarse)),
-        *quantity_findings(loaded.scene, meshes, frozenset(coarse)),
-        *contact_findings(loaded.scene, meshes, frozenset(coarse)),
-        *link_findings(loaded.scene, meshes, frozenset(coarse)),
-        *muscle_findings(loaded.scene, meshes, frozenset(coarse)),
-        *grid_findings(loaded.scene),
-        *_time_findings(loaded.scene),
-        *_solver_findings(loaded.scene),
-        *sweep_findings(loaded.scene, meshes, frozenset(coarse)),
+        *_body_findings(loaded.deformable, meshes),
+        *_dimension_findings(loaded.deformable, meshes),
+        *_selection_findings(loaded.deformable, meshes, frozenset(coarse)),
+        *quantity_findings(loaded.deformable, meshes, frozenset(coarse)),
+        *contact_findings(loaded.deformable, meshes, frozenset(coarse)),
+        *link_findings(loaded.deformable, meshes, frozenset(coarse)),
+        *muscle_findings(loaded.deformable, meshes, frozenset(coarse)),
+        *grid_findings(loaded.deformable),
+        *_time_findings(loaded.deformable),
+        *_solver_findings(loaded.deformable),
+        *sweep_findings(loaded.deformable, meshes, frozenset(coarse)),
     ]
     return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
 
@@ -267,4 +276,4 @@ def check_file(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
         load_skins(loaded)
     except InputError as error:
         faults += error.faults
-    return sort_faults([*faults, *survey.faults, *check_scene(loaded, survey.meshes, survey.coarse)])
+    return sort_faults([*faults, *survey.faults, *check_loaded(loaded, survey.meshes, survey.coarse)])

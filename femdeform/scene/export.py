@@ -11,9 +11,11 @@ _ARRAY_WORDS = {"minLength": "minItems", "maxLength": "maxItems"}
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON schema of a scene, every key with its description and unit."""
-    from femdeform.scene.schema import DeformableScene
+    from pydantic import TypeAdapter
 
-    schema = DeformableScene.model_json_schema(by_alias=True, mode="validation")
+    from femdeform.scene.kinds import Scene
+
+    schema = TypeAdapter(Scene).json_schema(by_alias=True, mode="validation")
     return {"$schema": _DIALECT, "title": "femdeform scene", **_simplified(schema)}
 
 

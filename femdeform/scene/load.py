@@ -16,8 +16,7 @@ from femdeform.scene.overrides import Override, apply_overrides
 from femdeform.types import Mesh
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
-
+    from femdeform.scene.kinds import AnyScene
     from femdeform.scene.schema import DeformableScene
 
 
@@ -61,7 +60,7 @@ class LoadedScene:
 
     Attributes
     ----------
-    scene : DeformableScene
+    scene : DeformableScene or another one of `femdeform.scene.kinds`
         The validated scene.
     path : Path
         The file it was read from.
@@ -79,7 +78,7 @@ class LoadedScene:
         What had to be changed in the meshes, and what is odd about them.
     """
 
-    scene: DeformableScene
+    scene: AnyScene
     path: Path
     base_dir: Path
     data: dict[str, Any]
@@ -87,6 +86,20 @@ class LoadedScene:
     source: Source
     meshes: dict[str, Mesh] = field(default_factory=dict, compare=False, repr=False)
     notices: list[str] = field(default_factory=list, compare=False, repr=False)
+
+    @property
+    def deformable(self) -> DeformableScene:
+        """The scene, where it is one of deformable bodies.
+
+        Raises
+        ------
+        InputError
+            If it is one of another kind.
+        """
+        if self.scene.simulation != "deformable":
+            message = f"is for deformable bodies only, not for {self.scene.simulation}"
+            raise InputError([self.fault(("simulation",), f"what was asked for {message}")])
+        return self.scene
 
     def line(self, key: KeyPath) -> int:
         """Line of a key such as ``("bodies", "beam", "mesh")``."""
@@ -124,15 +137,17 @@ def load_scene(path: Path, overrides: Sequence[str] = ()) -> LoadedScene:
     if not document.readable:
         raise InputError(sort_faults(faults))
     data, origins, problems = apply_overrides(document.data, overrides)
-    from femdeform.scene.schema import DeformableScene
+    from pydantic import TypeAdapter
+
+    from femdeform.scene.kinds import Scene
 
     source = Source(file, document.lines, origins)
     faults += problems
-    faults += schema_faults(DeformableScene, document, data, source)
+    faults += schema_faults(Scene, document, data, source)
     if faults:
         raise InputError(sort_faults(faults))
     return LoadedScene(
-        scene=DeformableScene.model_validate(data),
+        scene=TypeAdapter(Scene).validate_python(data),
         path=path,
         base_dir=path.parent,
         data=data,
@@ -152,7 +167,7 @@ def sort_faults(faults: Iterable[Fault]) -> list[Fault]:
     return sorted(set(faults), key=lambda fault: (fault.line == 0, fault.file, fault.line, fault.key, fault.message))
 
 
-def schema_faults(model: type[BaseModel], document: Document, data: Any, source: Source) -> list[Fault]:
+def schema_faults(model: Any, document: Document, data: Any, source: Source) -> list[Fault]:
     """Everything about `data` that keeps it from being a `model`, where the text of the document is sound."""
     from femdeform.scene.validation import find_faults
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,9 @@ _QUICK_ALONG = 25.0
 _COARSE_ALONG = 12.0
 # Selections by place need the real nodes; for them a check takes its time, up to this factor.
 _PATIENCE = 20.0
+
+# What the meshes under a key of a scene are of, in messages.
+_SUBJECTS = {"bodies": "body", "solids": "solid"}
 
 _SIZES = ("element_size", "hole_element_size", "plate_element_size")
 _NOT_LENGTHS = (*_SIZES, "recipe", "translate", "rotate", "scale")
@@ -51,7 +55,7 @@ class MeshSurvey:
 
 
 def load_meshes(loaded: LoadedScene) -> dict[str, Mesh]:
-    """Build and check the mesh of every body, or return what was built before.
+    """Build and check every mesh that a scene names, or return what was built before.
 
     Parameters
     ----------
@@ -61,22 +65,23 @@ def load_meshes(loaded: LoadedScene) -> dict[str, Mesh]:
     Returns
     -------
     dict of str to Mesh
-        In the order of the scene's bodies.
+        By body, or by what else they are of, in the order of the scene.
 
     Raises
     ------
     InputError
-        With one fault for everything that keeps a body from having a mesh.
+        With one fault for everything that keeps one of them from being built.
     MissingDependencyError
         If a mesh needs a library that is not installed.
     """
     faults: list[Fault] = []
-    for name, body in loaded.scene.bodies.items():
+    sources = loaded.scene.mesh_sources()
+    for name, (key, source) in sources.items():
         if name not in loaded.meshes:
-            faults += _build(loaded, name, body.mesh)
+            faults += _build(loaded, name, key, source)
     if faults:
         raise InputError(sort_faults(faults))
-    return {body: loaded.meshes[body] for body in loaded.scene.bodies}
+    return {name: loaded.meshes[name] for name in sources}
 
 
 def survey_meshes(loaded: LoadedScene) -> MeshSurvey:
@@ -84,13 +89,9 @@ def survey_meshes(loaded: LoadedScene) -> MeshSurvey:
     meshes: dict[str, Mesh] = {}
     faults: list[Fault] = []
     coarse: set[str] = set()
-    scene = loaded.scene
-    placed: list[Any] = [*scene.conditions, *scene.measure.values(), *scene.expect.displacement, *scene.expect.reaction]
-    selections = [block.on for block in placed if getattr(block, "on", None) is not None]
-    by_point = any(getattr(block, "at", None) is not None for block in placed)
-    for name, body in scene.bodies.items():
-        by_place = by_point or any(not isinstance(on, str) and on.body in (None, name) for on in selections)
-        substitute = _coarsened(body.mesh, _PATIENCE if by_place else 1.0)
+    needed = _needed_as_they_are(loaded)
+    for name, (key, source) in loaded.scene.mesh_sources().items():
+        substitute = _coarsened(source, _PATIENCE if needed(name) else 1.0)
         if substitute is not None and name not in loaded.meshes:
             try:
                 meshes[name] = registry.resolve(registry.MESH["build"])(substitute, loaded.base_dir)
@@ -98,27 +99,39 @@ def survey_meshes(loaded: LoadedScene) -> MeshSurvey:
                 continue
             except InputError:
                 pass  # whether the mesh itself is at fault only the mesh itself can tell
-        found = [] if name in loaded.meshes else _build(loaded, name, body.mesh)
+        found = [] if name in loaded.meshes else _build(loaded, name, key, source)
         faults += found
         if not found:
             meshes[name] = loaded.meshes[name]
-        elif body.mesh.rotate is not None or body.mesh.translate is not None:
+        elif source.rotate is not None or source.translate is not None:
             # If only its placement is at fault, the rest of the scene can still be judged.
             with contextlib.suppress(InputError, MemoryError):
-                unplaced = body.mesh.model_copy(update={"rotate": None, "translate": None})
+                unplaced = source.model_copy(update={"rotate": None, "translate": None})
                 meshes[name] = registry.resolve(registry.MESH["build"])(unplaced, loaded.base_dir)
                 coarse.add(name)
     return MeshSurvey(meshes, frozenset(coarse), sort_faults(faults))
 
 
-def _build(loaded: LoadedScene, name: str, source: MeshSource) -> list[Fault]:
-    """Build, check and keep the mesh of a body; returns the faults that prevent it."""
+def _needed_as_they_are(loaded: LoadedScene) -> Callable[[str], bool]:
+    """Whether places are selected in a body, so that a check needs the nodes that a run will have."""
+    if loaded.scene.simulation != "deformable":
+        return lambda name: False
+    scene = loaded.scene
+    placed: list[Any] = [*scene.conditions, *scene.measure.values(), *scene.expect.displacement, *scene.expect.reaction]
+    selections = [block.on for block in placed if getattr(block, "on", None) is not None]
+    by_point = any(getattr(block, "at", None) is not None for block in placed)
+    return lambda name: by_point or any(not isinstance(on, str) and on.body in (None, name) for on in selections)
+
+
+def _build(loaded: LoadedScene, name: str, key: KeyPath, source: MeshSource) -> list[Fault]:
+    """Build, check and keep a mesh; returns the faults that prevent it."""
+    subject = f"{_SUBJECTS[str(key[0])]} {name}"
     try:
-        mesh, notices = build_source(loaded, ("bodies", name, "mesh"), source, f"body {name}")
+        mesh, notices = build_source(loaded, key, source, subject)
     except InputError as error:
         return list(error.faults)
     loaded.meshes[name] = mesh
-    loaded.notices.extend(f"body {name}: {text}" for text in notices)
+    loaded.notices.extend(f"{subject}: {text}" for text in notices)
     return []
 
 

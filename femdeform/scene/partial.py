@@ -25,7 +25,9 @@ def sound_part(path: Path, overrides: Sequence[str] = ()) -> LoadedScene | None:
 
     Keys keep their places: a faulty condition is replaced by one that says nothing.
     """
-    from femdeform.scene.schema import DeformableScene
+    from pydantic import TypeAdapter
+
+    from femdeform.scene.kinds import Scene
     from femdeform.scene.validation import find_faults
 
     document = read_document(path)
@@ -35,12 +37,12 @@ def sound_part(path: Path, overrides: Sequence[str] = ()) -> LoadedScene | None:
     if problems:
         return None
     data = copy.deepcopy(data)
-    for finding in find_faults(DeformableScene, data):
+    for finding in find_faults(Scene, data):
         if not _put_aside(data, finding.path):
             return None
-    if find_faults(DeformableScene, data):
+    if find_faults(Scene, data):
         return None
-    scene = DeformableScene.model_validate(data)
+    scene = TypeAdapter(Scene).validate_python(data)
     source = Source(str(path), document.lines, origins)
     return LoadedScene(scene, path, path.parent, data, scene_hash(data), source)
 
@@ -52,6 +54,8 @@ def _put_aside(data: Any, path: KeyPath) -> bool:
     bodies = data.get("bodies")
     if path[0] == "simulation":
         data["simulation"] = "deformable"
+    elif data.get("simulation") != "deformable":
+        return False
     elif path[0] == "time":
         data["time"] = _SOME_TIME
         data.pop("on_failure", None)

@@ -62,7 +62,7 @@ class Section:
 
 def scene_sections() -> list[Section]:
     """Sections of the reference of everything a scene may say, page after page."""
-    from femdeform.scene.schema import Scene
+    from femdeform.scene.kinds import Scene
 
     return sections(Scene, "The keys of a scene", given_examples())
 
@@ -141,6 +141,8 @@ class _Writer:
 
     def _block(self, block: Block, level: int) -> Iterator[Section]:
         title = f"`{block.key}`" if block.name == block.key else block.name.capitalize()
+        if block.prefix and block.is_page:
+            title += f" of `{block.prefix[:-1]}`"
         if not block.forms:
             model = block.expected.base
             about = prose(model) or ("" if block.has_several_keys else block.about)

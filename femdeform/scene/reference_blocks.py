@@ -71,8 +71,12 @@ class Block:
         ``list`` or ``dict`` if the first key that takes it takes several, else empty.
     about : str
         Description of that key.
-    owners : list of (model or None, key)
-        Who takes it, under which key; None is the scene itself.
+    owners : list of (model, key)
+        Who takes it, under which key.
+    prefix : str
+        Begins the names of pages of its root; empty for the first one.
+    is_top : bool
+        A root takes it.
     tops : set of str
         Keys of the scene from which it can be reached.
     page, anchor : str
@@ -82,7 +86,9 @@ class Block:
     expected: Expected
     holder: str
     about: str
-    owners: list[tuple[type[BaseModel] | None, str]] = field(default_factory=list)
+    owners: list[tuple[type[BaseModel], str]] = field(default_factory=list)
+    prefix: str = ""
+    is_top: bool = False
     tops: set[str] = field(default_factory=set)
     page: str = ""
     anchor: str = ""
@@ -101,7 +107,7 @@ class Block:
     @property
     def is_page(self) -> bool:
         """Whether a page begins with it."""
-        return self.page == self.key
+        return self.page == self.prefix + self.key
 
     @property
     def forms(self) -> list[Form]:
@@ -122,8 +128,10 @@ class Block:
 
     @property
     def only_owner(self) -> type[BaseModel] | None:
-        """The model that alone takes it, if there is one."""
+        """The model that alone takes it, if there is one that is no root."""
         owners = {owner for owner, _ in self.owners}
+        if self.is_top:
+            return None
         return next(iter(owners)) if len(owners) == 1 else None
 
     def form_anchor(self, form: Form) -> str:
@@ -149,15 +157,19 @@ def find_blocks(roots: list[type[BaseModel]]) -> dict[Any, Block]:
     reached from several top-level keys; other blocks are on the page of the one that takes them first.
     """
     blocks: dict[Any, Block] = {}
-    for model in roots:
+    for number, model in enumerate(roots):
+        prefix = f"{get_args(model.model_fields['simulation'].annotation)[0]}_" if number else ""
         for key, info in fields_of(model).items():
-            _collect(blocks, take_apart(info), None, key, key)
+            _collect(blocks, take_apart(info), model, key, prefix + key, prefix)
+    for block in blocks.values():
+        block.is_top = block.owners[0][0] in roots
     page_of: dict[type[BaseModel], str] = {}
     anchor_of: dict[type[BaseModel], str] = {}
     for block in blocks.values():  # owners come before what they hold
         owner = block.owners[0][0]
         is_shared = len(block.tops) > 1 or len(block.forms) >= _MANY
-        block.page = block.key if owner is None or (block.forms and is_shared) else page_of[owner]
+        is_page = block.is_top or (block.forms and is_shared)
+        block.page = block.prefix + block.key if is_page else page_of[owner]
         if block.is_page:
             block.anchor = joined_anchor(block.page)
         else:
@@ -171,11 +183,13 @@ def find_blocks(roots: list[type[BaseModel]]) -> dict[Any, Block]:
     return blocks
 
 
-def _collect(blocks: dict[Any, Block], expected: Expected, owner: type[BaseModel] | None, key: str, top: str) -> None:
+def _collect(
+    blocks: dict[Any, Block], expected: Expected, owner: type[BaseModel], key: str, top: str, prefix: str
+) -> None:
     inner, holder = _unwrapped(expected)
     if not holds_models(inner.base):
         return
-    block = blocks.setdefault(inner.base, Block(inner, holder, expected.description))
+    block = blocks.setdefault(inner.base, Block(inner, holder, expected.description, prefix=prefix))
     if (owner, key) not in block.owners:
         block.owners.append((owner, key))
     if top in block.tops:
@@ -183,7 +197,7 @@ def _collect(blocks: dict[Any, Block], expected: Expected, owner: type[BaseModel
     block.tops.add(top)
     for model in block.models:
         for inner_key, info in fields_of(model).items():
-            _collect(blocks, take_apart(info), model, inner_key, top)
+            _collect(blocks, take_apart(info), model, inner_key, top, prefix)
 
 
 def _unwrapped(expected: Expected) -> tuple[Expected, str]:

@@ -1,8 +1,7 @@
 """The scene: everything a YAML file may say, with units, defaults and bounds.
 
-Only the deformable simulation is described here; material points and incompressible flow join the union
-`Scene` with their own modules. What needs the meshes or another block to be judged (an empty selection, an
-unknown body) is checked in `femdeform.scene.checks`.
+Only the deformable simulation is described here; `femdeform.scene.kinds` joins it with the others. What needs the
+meshes or another block to be judged (an empty selection, an unknown body) is checked in `femdeform.scene.checks`.
 
 A validator of a whole block that blames one of its keys starts its message with that key, ``"dt: ..."``; the
 fault is then reported at that key.
@@ -20,6 +19,7 @@ from femdeform.scene.amplitude_schema import Amplitude, check_increasing
 from femdeform.scene.constraint_schema import BPXPBDSolver, FPPXPBDSolver, PBDSolver, XPBDQSSolver, XPBDSolver
 from femdeform.scene.contact_schema import Contact, PenaltyMethod
 from femdeform.scene.grid_schema import GridEmbedding
+from femdeform.scene.key_path import KeyPath
 from femdeform.scene.link_schema import Link
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.mixed_schema import MixedFEMSolver
@@ -348,23 +348,25 @@ Obstacle = Annotated[PlaneObstacle | SphereObstacle | BoxObstacle, Field(discrim
 # ------------------------------------------------------------------------------------------- time and solver
 
 
-class _TimeModel(SceneModel):
+class TimeStepping(SceneModel):
+    """Size and end of time steps."""
+
     dt: Positive = Field(description="time step [s]")
     end: Positive = Field(description="end time [s]")
 
     @model_validator(mode="after")
-    def _ordered(self) -> _TimeModel:
+    def _ordered(self) -> TimeStepping:
         # A step that exceeds the end by rounding alone is a single step.
         if self.dt > self.end * (1.0 + 1e-9):
             raise ValueError(f"dt: must not exceed end, {self.end:g} [s], not {self.dt:g}")
         return self
 
 
-class BackwardEulerTime(_TimeModel):
+class BackwardEulerTime(TimeStepping):
     scheme: Literal["backward_euler"] = Field(description="backward Euler, with inertia")
 
 
-class QuasistaticTime(_TimeModel):
+class QuasistaticTime(TimeStepping):
     scheme: Literal["quasistatic"] = Field(description="a sequence of equilibria, without inertia")
     dt: Positive = Field(description="load step, in the units of the conditions' rates [s]")
     end: Positive = Field(default=1.0, description="end of the loading [s]")
@@ -485,6 +487,10 @@ class DeformableScene(SceneModel):
     )
     expect: Expect = Field(default=Expect(), description="values at the end of the run that `run` compares with")
 
+    def mesh_sources(self) -> dict[str, tuple[KeyPath, MeshSource]]:
+        """Meshes by body, each with the key it stands at."""
+        return {name: (("bodies", name, "mesh"), body.mesh) for name, body in self.bodies.items()}
+
     @model_validator(mode="before")
     @classmethod
     def _preset_says_how(cls, data: Any) -> Any:
@@ -497,6 +503,3 @@ class DeformableScene(SceneModel):
         if word and isinstance(solver, dict) and solver.get("method") == "mixed_fem" and "global_solve" not in solver:
             return {**data, "solver": {**solver, "global_solve": word}}
         return data
-
-
-Scene = DeformableScene

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from femdeform.scene.scene_model import Direction, Positive, SceneModel, Vector, as_tuple
 
 
-def _check_corners(key: str, low: tuple[float, ...], high: tuple[float, ...]) -> None:
+def check_corners(key: str, low: tuple[float, ...], high: tuple[float, ...]) -> None:
     if len(low) == len(high) and any(a > b for a, b in zip(low, high, strict=True)):
         raise ValueError(f"{key}: the lowest corner comes first, and no component of it may exceed the highest")
 
@@ -22,7 +22,7 @@ class BoxSelection(SceneModel):
 
     @model_validator(mode="after")
     def _ordered(self) -> BoxSelection:
-        _check_corners("box", *self.box)
+        check_corners("box", *self.box)
         return self
 
 

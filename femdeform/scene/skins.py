@@ -28,6 +28,8 @@ def load_skins(loaded: LoadedScene) -> dict[str, Mesh]:
     """
     skins: dict[str, Mesh] = {}
     faults: list[Fault] = []
+    if loaded.scene.simulation != "deformable":
+        return skins
     for name, body in loaded.scene.bodies.items():
         source = getattr(body, "skin", None)
         if source is None:

@@ -39,17 +39,17 @@ class Finding(NamedTuple):
     message: str
 
 
-def find_faults(model: type[BaseModel], data: Any) -> list[Finding]:
+def find_faults(model: Any, data: Any) -> list[Finding]:
     """Return everything about `data` that keeps it from being a `model`; an empty list means that it is one.
 
     Parameters
     ----------
-    model : type of BaseModel
+    model : type of BaseModel or a union of such
         The schema.
     data : Any
         Plain data: lists, dicts with text keys, text, numbers, booleans, None.
     """
-    return _judge(Expected(model), data, ())
+    return _judge(take_apart(model), data, ())
 
 
 def _judge(expected: Expected, value: Any, path: KeyPath) -> list[Finding]:
@@ -134,8 +134,14 @@ def _judge_tagged(expected: Expected, value: Any, path: KeyPath) -> list[Finding
         return _judge_model(by_tag[value[tag]], value, path, models, tag)
     # Which member is meant is open; what all of them share can still be judged.
     shared = _judge_shared(models, tag, value, path)
-    is_misspelt = any(found.message.endswith(f"did you mean `{tag}`?") for found in shared)
-    return shared if tag not in value and is_misspelt else [finding, *shared]
+    misspelt = [found for found in shared if found.message.endswith(f"did you mean `{tag}`?")]
+    if not path:
+        # A whole scene is judged as the kind that knows most of its keys.
+        likely = max(models, key=lambda model: len(fields_of(model).keys() & value.keys()))
+        word = get_args(likely.model_fields[tag].annotation)[0]
+        known = {key: item for key, item in value.items() if all(key != found.path[-1] for found in misspelt)}
+        shared = [*misspelt, *_judge_model(likely, {**known, tag: word}, path)]
+    return shared if tag not in value and misspelt else [finding, *shared]
 
 
 def _judge_shared(models: Sequence[type[BaseModel]], tag: str, value: dict[str, Any], path: KeyPath) -> list[Finding]:

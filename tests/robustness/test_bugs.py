@@ -13,7 +13,7 @@ from running import Said, assert_same_result, expecting, facts, rolling
 from scenario import write
 
 from femdeform import cli
-from femdeform.run import inputs, output, runner
+from femdeform.run import deformable, inputs, output
 from femdeform.run.checkpoint import read_checkpoint
 from femdeform.run.failure import BUG, MemoryExhaustedError, exit_code, expected_error, reason_of
 from solvers.linear import coo
@@ -87,7 +87,7 @@ def test_a_bug_that_spoils_the_last_words_too(
 def test_a_bug_before_there_is_a_result(
     place: str, unbroken: tuple[Path, Path], tmp_path: Path, say: Say, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inputs if place == "load_meshes" else runner, place, bug)
+    monkeypatch.setattr(inputs if place == "load_meshes" else deformable, place, bug)
     said = say("run", unbroken[0], "--out", tmp_path / "out")
     assert said.code == 70
     assert said.err.count("Traceback") == 1

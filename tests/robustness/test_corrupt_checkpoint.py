@@ -91,7 +91,7 @@ def test_damage(damage: str, unbroken: tuple[Path, Path], interrupted: Path, say
 
 def test_no_flipped_byte_goes_unnoticed(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    write_checkpoint(tmp_path, Checkpoint(rng.random((20, 3)), rng.random((20, 3)), 0.5, 7, 0.1, 0, 3, 1.0, "abc"))
+    write_checkpoint(tmp_path, Checkpoint({"x": rng.random((20, 3)), "v": rng.random((20, 3))}, 0.5, 7, 0.1, 0, 3, 1.0, "abc"))
     path = tmp_path / "checkpoint.h5"
     data = path.read_bytes()
     for place in range(0, len(data), 7):
@@ -109,12 +109,12 @@ def test_no_flipped_byte_goes_unnoticed(tmp_path: Path) -> None:
 def test_other_programs_can_read_it(unbroken: tuple[Path, Path]) -> None:
     """What stands behind the end of the HDF5 part does not trouble HDF5."""
     with h5py.File(unbroken[1] / "checkpoint.h5", "r") as file:
-        np.testing.assert_array_equal(file["x"][()], read_checkpoint(unbroken[1]).x)
+        np.testing.assert_array_equal(file["x"][()], read_checkpoint(unbroken[1]).fields["x"])
 
 
 def test_a_failed_write_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However far the writing has come: under its name there is always a whole checkpoint."""
-    first, second = (Checkpoint(np.zeros((4, 2)), np.ones((4, 2)), 0.1, step, 0.1, 0, 1, 1.0, "abc") for step in (1, 2))
+    first, second = (Checkpoint({"x": np.zeros((4, 2)), "v": np.ones((4, 2))}, 0.1, step, 0.1, 0, 1, 1.0, "abc") for step in (1, 2))
     write_checkpoint(tmp_path, first)
     for name in ("write_bytes", "replace", "fsync"):
 

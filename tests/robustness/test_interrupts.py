@@ -16,7 +16,7 @@ from running import STEPS, Said, assert_same_result, facts, rolling, wait_for_ro
 from scenario import write
 
 from femdeform import registry
-from femdeform.run import atomic, inputs, interrupts, recorder, runner, table
+from femdeform.run import atomic, deformable, inputs, interrupts, recorder, runner, table
 from femdeform.run.checkpoint import is_unsaved, read_checkpoint
 from solvers.descent import Descent
 
@@ -108,7 +108,7 @@ def test_before_there_is_a_result(
     say: Say,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    striking(monkeypatch, runner if place == "build_simulation" else inputs, place, 1, number)
+    striking(monkeypatch, deformable if place == "build_simulation" else inputs, place, 1, number)
     said = say("run", unbroken[0], "--out", tmp_path / "out")
     assert (said.code, said.out, said.err) == (130, "", "femdeform: interrupted\n")
     assert not list(tmp_path.rglob("*.*"))

@@ -45,7 +45,7 @@ def test_stop_keeps_the_last_accepted_state(tmp_path: Path, say: Say) -> None:
     opened = Result.open(out)
     final = opened.read_final()
     np.testing.assert_array_equal(final.displacement, opened.read_frame(-1).displacement)
-    np.testing.assert_array_equal(final.positions, checkpoint.x)
+    np.testing.assert_array_equal(final.positions, checkpoint.fields["x"])
     assert final.displacement[:, 0].max() == pytest.approx(0.1 * 0.5 / 0.55)
     assert len(opened.history["step"]) == 5
     # To resume is to try again; it ends the same way, and loses nothing.

@@ -71,7 +71,7 @@ def resume(tmp_path: Path, two_ranks: Ranks) -> None:
     assert run_scene(tmp_path / "s.yaml", out=tmp_path / "one", quiet=True) == 0
     ours, theirs = read_checkpoint(tmp_path / "one"), read_checkpoint(tmp_path / "out")
     assert (ours.step, ours.frames) == (theirs.step, theirs.frames)
-    np.testing.assert_allclose(theirs.x, ours.x, rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(theirs.fields["x"], ours.fields["x"], rtol=0.0, atol=1e-7)
     assert not list((tmp_path / "out").rglob(".*"))
 
 

@@ -14,7 +14,7 @@ import pytest
 from running import Said, assert_same_result, contents, facts
 from small_disk import Disk
 
-from femdeform.run import inputs, recorder, runner
+from femdeform.run import deformable, inputs, recorder
 from femdeform.run.checkpoint import read_checkpoint
 
 Say = Callable[..., Said]
@@ -29,7 +29,7 @@ def _no_work(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) ->
         def work(*_: Any) -> None:
             raise AssertionError("the simulation was set up")
 
-        monkeypatch.setattr(runner, "build_simulation", work)
+        monkeypatch.setattr(deformable, "build_simulation", work)
 
 
 @contextmanager

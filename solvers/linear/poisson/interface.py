@@ -42,7 +42,9 @@ class Preconditioner(Protocol):
 class PoissonSolver(Protocol):
     """Solves A x = b on one grid, for one right-hand side after another."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What it is, in a word."""
 
     def solve(self, b: GridArray, tolerance: float, max_iterations: int, x: GridArray | None = None) -> PoissonResult:
         """Solve to |r| <= tolerance |b|; `x` is where to start, if not at zero. b has no mean on closed components."""

@@ -221,7 +221,7 @@ def test_a_turning_solid_drags_the_fluid() -> None:
         return np.asarray((np.abs(along) < 0.2) & (np.abs(across) < 0.1))
 
     flow = plume(buoyancy=0.0)
-    flow.moving = MovingSolid(voxels, lambda time, points: 2.0 * rigid_turn(points))
+    flow.moving = [MovingSolid(voxels, lambda time, points: 2.0 * rigid_turn(points))]
     for _ in range(5):
         (report,) = flow.step(0.05)
         assert report.converged

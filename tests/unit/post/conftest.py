@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_results import block, quadratic, record
 
-from femdeform.run.recorder import FrameMesh
+from femdeform.run.vtu import FrameMesh
 
 
 @pytest.fixture(scope="session")

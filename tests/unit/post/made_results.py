@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from femdeform.run.recorder import FrameMesh, Recorder
+from femdeform.run.deformable import COLUMNS
+from femdeform.run.recorder import Recorder
+from femdeform.run.vtu import FrameMesh, VTUWriter
 
 N_FRAMES = 5
 
@@ -47,7 +49,7 @@ def record(
     cell_data: Callable[[float], dict[str, list[np.ndarray]]] | None = None,
 ) -> Path:
     """Record `N_FRAMES` frames of a motion given over the time 0 to 1 s."""
-    recorder = Recorder(folder, mesh, trace=True)
+    recorder = Recorder(folder, VTUWriter(mesh), COLUMNS, trace=True)
     resolved = {
         "title": title,
         "simulation": "deformable",

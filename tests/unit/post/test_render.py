@@ -15,8 +15,8 @@ from femdeform.post import backend
 from femdeform.post.render import GIF_SIZE, PICTURE_SIZE, draw_frames, view
 from femdeform.post.stage import Stage
 from femdeform.post.survey import survey
-from femdeform.run.recorder import FrameMesh
 from femdeform.run.result import Result
+from femdeform.run.vtu import FrameMesh
 
 needs_opengl = pytest.mark.skipif(not backend._can_draw(), reason="no OpenGL here, not even in software")
 

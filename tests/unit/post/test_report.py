@@ -21,8 +21,8 @@ from femdeform.post import backend, report, scene3d
 from femdeform.post.render import draw_frames
 from femdeform.post.report import write_report
 from femdeform.post.scene3d import interactive_data
-from femdeform.run.recorder import FrameMesh
 from femdeform.run.result import Result
+from femdeform.run.vtu import FrameMesh
 
 VOID = {"meta", "img", "input", "br", "link", "hr", "wbr"}
 

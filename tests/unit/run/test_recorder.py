@@ -16,15 +16,17 @@ import pytest
 from ruamel.yaml import YAML
 
 from femdeform.errors import InputError, OutputError
-from femdeform.run.recorder import HISTORY_COLUMNS, FrameMesh, Recorder
+from femdeform.run.deformable import COLUMNS
+from femdeform.run.recorder import Recorder
+from femdeform.run.vtu import FrameMesh, VTUWriter
 
 TETRA = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
 TWO_TETS = np.array([[0, 1, 2, 3], [1, 4, 2, 3]])
 EDGES = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
 
 
-def tetra_mesh() -> FrameMesh:
-    return FrameMesh(TETRA, [("tetra", TWO_TETS)], {"body": [np.array([0, 1])]})
+def tetra_mesh() -> VTUWriter:
+    return VTUWriter(FrameMesh(TETRA, [("tetra", TWO_TETS)], {"body": [np.array([0, 1])]}))
 
 
 def row(step: int, **more: float | str) -> dict[str, Any]:
@@ -70,7 +72,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_frames_are_read_by_meshio_and_vtk(tmp_path: Path) -> None:
     pyvista = pytest.importorskip("pyvista")
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     stress = np.arange(18.0).reshape(2, 3, 3)
     path = recorder.frame(7, 0.3, moved(3), {"von_mises": [np.array([1.5, 2.5])], "cauchy_stress": [stress]})
     assert path == tmp_path / "r" / "frames" / "frame_00007.vtu"
@@ -91,7 +93,7 @@ def test_frames_are_read_by_meshio_and_vtk(tmp_path: Path) -> None:
 
 
 def test_frames_are_well_formed_xml(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     path = recorder.frame(0, 0.0, {**moved(1), 'odd "name" <&>': np.zeros(5)})
     root = ElementTree.parse(path).getroot()
     assert root.tag == "VTKFile"
@@ -110,7 +112,7 @@ def test_quadratic_cells_have_the_node_order_of_vtk(tmp_path: Path) -> None:
         [("tetra10", np.arange(10)[None]), ("triangle6", 10 + np.arange(6)[None])],
         {},
     )
-    path = Recorder(tmp_path / "r", mesh).frame(0, 0.0, {"displacement": np.zeros((16, 3))})
+    path = Recorder(tmp_path / "r", VTUWriter(mesh), COLUMNS).frame(0, 0.0, {"displacement": np.zeros((16, 3))})
     grid = pyvista.read(path)
     assert grid.celltypes.tolist() == [24, 22]
     # A wrong order would fold the cells, and their sizes would differ.
@@ -129,7 +131,9 @@ def test_mixed_blocks_in_2d_are_padded(tmp_path: Path) -> None:
     )
     strain = np.array([[[1.0, 2], [3, 4]]])
     fields = {"pk1": [strain, np.zeros((2, 2, 2))], "flag": [np.array([True]), np.array([False, True])]}
-    path = Recorder(tmp_path / "r", mesh).frame(0, 0.0, {"displacement": points, "heat": points[:, :1]}, fields)
+    path = Recorder(tmp_path / "r", VTUWriter(mesh), COLUMNS).frame(
+        0, 0.0, {"displacement": points, "heat": points[:, :1]}, fields
+    )
     read = meshio.read(path)
     np.testing.assert_array_equal(read.points, np.pad(points, ((0, 0), (0, 1))))
     np.testing.assert_array_equal(read.point_data["displacement"], np.pad(points, ((0, 0), (0, 1))))
@@ -144,7 +148,7 @@ def test_arrays_larger_than_a_compressed_block_survive(tmp_path: Path) -> None:
     n = 60_001  # 1.44 MB of points: one full block and a part of one
     points = np.random.default_rng(0).standard_normal((n, 3))
     mesh = FrameMesh(points, [("line", np.stack([np.arange(n - 1), np.arange(1, n)], axis=1))], {})
-    path = Recorder(tmp_path / "r", mesh).frame(0, 0.0, {"displacement": -points})
+    path = Recorder(tmp_path / "r", VTUWriter(mesh), COLUMNS).frame(0, 0.0, {"displacement": -points})
     read = meshio.read(path)
     np.testing.assert_array_equal(read.points, points)
     np.testing.assert_array_equal(read.point_data["displacement"], -points)
@@ -153,7 +157,7 @@ def test_arrays_larger_than_a_compressed_block_survive(tmp_path: Path) -> None:
 
 def test_pvd_lists_the_frames_by_time(tmp_path: Path) -> None:
     pyvista = pytest.importorskip("pyvista")
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     recorder.frame(0, 0.0, moved(0))
     recorder.frame(2, 0.2, moved(2))
     recorder.frame(1, 0.1, moved(1))
@@ -182,7 +186,7 @@ def test_meshes_that_do_not_fit_are_refused(points: Any, blocks: Any, cell_data:
 
 
 def test_fields_that_do_not_fit_are_refused(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     with pytest.raises(ValueError, match="displacement"):
         recorder.frame(0, 0.0, {"velocity": TETRA})
     with pytest.raises(ValueError, match="'velocity' of length 4, 5 points"):
@@ -196,7 +200,7 @@ def test_fields_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 
 def test_result_json_tells_the_status_from_the_start(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     recorder.start({"title": "x"}, {"n_dofs": np.int64(15), "ranks": 1})
     begun = json.loads((tmp_path / "r" / "result.json").read_text())
     assert begun == {"status": "running", "reason": "", "steps": 0, "n_dofs": 15, "ranks": 1}
@@ -233,7 +237,7 @@ def test_resolved_scene_reads_back_the_same(tmp_path: Path) -> None:
         "empty": [],
         "number": np.float64(0.1),
     }
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     recorder.start(resolved, {})
     text = (tmp_path / "r" / "resolved.yaml").read_text()
     read = YAML(typ="safe", pure=True).load(text)
@@ -246,13 +250,13 @@ def test_resolved_scene_reads_back_the_same(tmp_path: Path) -> None:
 
 
 def test_history_has_the_standard_columns_first_and_all_digits(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     recorder.step(row(np.int64(1), note="a, b\nc", max_displacement=0.1 + 0.2))
     recorder.step({"step": 2, "time": 0.2})
     # Not closed: a row is on its way as soon as it is given.
     with (tmp_path / "r" / "history.csv").open(newline="") as file:
         rows = list(csv.reader(file))
-    assert rows[0] == [*HISTORY_COLUMNS, "note", "max_displacement"]
+    assert rows[0] == [*COLUMNS, "note", "max_displacement"]
     first = dict(zip(rows[0], rows[1], strict=True))
     assert first["step"] == "1"
     assert float(first["max_displacement"]) == 0.1 + 0.2
@@ -268,7 +272,7 @@ def test_history_has_the_standard_columns_first_and_all_digits(tmp_path: Path) -
 
 def test_iterations_are_written_with_trace_only(tmp_path: Path) -> None:
     for trace in (False, True):
-        recorder = Recorder(tmp_path / str(trace), tetra_mesh(), trace=trace)
+        recorder = Recorder(tmp_path / str(trace), tetra_mesh(), COLUMNS, trace=trace)
         record(recorder, range(1, 3))
         recorder.close()
         recorder.close()
@@ -284,7 +288,7 @@ def test_iterations_are_written_with_trace_only(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def unbroken(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     folder = tmp_path_factory.mktemp("unbroken") / "r"
-    recorder = Recorder(folder, tetra_mesh(), trace=True)
+    recorder = Recorder(folder, tetra_mesh(), COLUMNS, trace=True)
     recorder.start({"title": "x"}, {"n_dofs": 15})
     record(recorder, range(9))
     recorder.finish("done", "", {"wall_seconds": 1.0}, moved(8))
@@ -297,7 +301,7 @@ def test_a_resumed_run_leaves_the_files_of_an_unbroken_one(
     tmp_path: Path, unbroken: dict[str, bytes], checkpoint: int, killed_at: int, damage: str
 ) -> None:
     folder = tmp_path / "r"
-    recorder = Recorder(folder, tetra_mesh(), trace=True)
+    recorder = Recorder(folder, tetra_mesh(), COLUMNS, trace=True)
     recorder.start({"title": "x"}, {"n_dofs": 15})
     record(recorder, range(killed_at + 1))
     if damage == "torn":
@@ -313,7 +317,7 @@ def test_a_resumed_run_leaves_the_files_of_an_unbroken_one(
     elif damage == "finished":
         recorder.finish("interrupted", "by the user", {}, moved(killed_at))
 
-    recorder = Recorder(folder, tetra_mesh(), trace=True, resume_from_step=checkpoint)
+    recorder = Recorder(folder, tetra_mesh(), COLUMNS, trace=True, resume_from_step=checkpoint)
     recorder.start({"title": "x"}, {"n_dofs": 15})
     assert json.loads((folder / "result.json").read_text())["steps"] == checkpoint
     record(recorder, range(checkpoint + 1, 9))
@@ -323,15 +327,15 @@ def test_a_resumed_run_leaves_the_files_of_an_unbroken_one(
 
 def test_resume_needs_a_result_and_the_rows_before_the_checkpoint(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"result\.json is missing"):
-        Recorder(tmp_path / "none", tetra_mesh(), resume_from_step=3)
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+        Recorder(tmp_path / "none", tetra_mesh(), COLUMNS, resume_from_step=3)
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     recorder.start({}, {})
     record(recorder, range(3))
     with pytest.raises(InputError, match="ends at step 2, the checkpoint is of step 5"):
-        Recorder(tmp_path / "r", tetra_mesh(), resume_from_step=5)
+        Recorder(tmp_path / "r", tetra_mesh(), COLUMNS, resume_from_step=5)
     (tmp_path / "r" / "history.csv").write_text("step,time\n1,0.1\ntwo,0.2\n")
     with pytest.raises(InputError, match=r"history\.csv: step: the table is corrupt"):
-        Recorder(tmp_path / "r", tetra_mesh(), resume_from_step=1)
+        Recorder(tmp_path / "r", tetra_mesh(), COLUMNS, resume_from_step=1)
 
 
 # -------------------------------------------------------------------------------------------- fresh, overwrite
@@ -339,25 +343,25 @@ def test_resume_needs_a_result_and_the_rows_before_the_checkpoint(tmp_path: Path
 
 def test_a_fresh_run_does_not_land_on_another_result(tmp_path: Path) -> None:
     folder = tmp_path / "r"
-    recorder = Recorder(folder, tetra_mesh())
+    recorder = Recorder(folder, tetra_mesh(), COLUMNS)
     recorder.start({}, {})
     record(recorder, range(5))
     before = contents(folder)
     with pytest.raises(InputError, match="an unfinished result already: give --resume"):
-        Recorder(folder, tetra_mesh())
+        Recorder(folder, tetra_mesh(), COLUMNS)
     recorder.finish("done", "", {}, moved(4))
     with pytest.raises(InputError, match=r"a result already.*--out"):
-        Recorder(folder, tetra_mesh())
+        Recorder(folder, tetra_mesh(), COLUMNS)
     before.pop(".reserve.part")  # room for the last result.json
     assert before.items() <= {**contents(folder), "result.json": before["result.json"]}.items()
     (folder / "result.json").unlink()
     with pytest.raises(InputError, match="a result already"):
-        Recorder(folder, tetra_mesh())
+        Recorder(folder, tetra_mesh(), COLUMNS)
 
 
 def test_overwriting_removes_the_files_of_a_result_only(tmp_path: Path) -> None:
     folder = tmp_path / "r"
-    recorder = Recorder(folder, tetra_mesh(), trace=True)
+    recorder = Recorder(folder, tetra_mesh(), COLUMNS, trace=True)
     recorder.start({}, {})
     record(recorder, range(5))
     recorder.finish("done", "", {}, moved(4))
@@ -366,13 +370,13 @@ def test_overwriting_removes_the_files_of_a_result_only(tmp_path: Path) -> None:
     (folder / "report.html").write_text("of the old run")
     (folder / "plots").mkdir()
     (folder / "plots" / "energy.png").write_text("of the old run")
-    Recorder(folder, tetra_mesh(), overwrite=True)
+    Recorder(folder, tetra_mesh(), COLUMNS, overwrite=True)
     assert sorted(contents(folder)) == ["frames/notes.txt", "notes.txt"]
 
 
 def test_other_files_do_not_keep_a_run_from_starting(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    recorder = Recorder(tmp_path, tetra_mesh())
+    recorder = Recorder(tmp_path, tetra_mesh(), COLUMNS)
     recorder.start({}, {})
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
@@ -381,7 +385,7 @@ def test_other_files_do_not_keep_a_run_from_starting(tmp_path: Path) -> None:
 
 
 def test_a_frame_that_fails_leaves_the_earlier_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recorder = Recorder(tmp_path / "r", tetra_mesh())
+    recorder = Recorder(tmp_path / "r", tetra_mesh(), COLUMNS)
     recorder.frame(0, 0.0, moved(0))
     before = contents(tmp_path / "r")
 

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from femdeform.errors import InputError
-from femdeform.run.recorder import FrameMesh, Recorder
+from femdeform.run.deformable import COLUMNS
+from femdeform.run.recorder import Recorder
 from femdeform.run.result import Result
+from femdeform.run.vtu import FrameMesh, VTUWriter
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 2, 2]])
 
@@ -22,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
         [("tetra", np.array([[0, 1, 2, 3]])), ("line", np.array([[3, 4], [1, 4]]))],
         {"body": [np.array([0]), np.array([1, 1])]},
     )
-    recorder = Recorder(tmp_path / "r", mesh, trace=True)
+    recorder = Recorder(tmp_path / "r", VTUWriter(mesh), COLUMNS, trace=True)
     recorder.start({"title": "a title", "gravity": [0, -9.81, 0]}, {"n_dofs": 15})
     for step in range(3):
         if step:
@@ -73,7 +75,7 @@ def test_a_frame_that_is_not_there(folder: Path, index: int) -> None:
 
 
 def test_a_run_that_has_just_begun(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "r", FrameMesh(POINTS, [], {}))
+    recorder = Recorder(tmp_path / "r", VTUWriter(FrameMesh(POINTS, [], {})), COLUMNS)
     recorder.start({}, {})
     result = Result.open(tmp_path / "r")
     assert result.facts["status"] == "running"
@@ -88,7 +90,7 @@ def test_a_run_that_has_just_begun(tmp_path: Path) -> None:
 
 
 def test_a_mesh_without_cells_is_read(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "r", FrameMesh(POINTS, [], {"body": []}))
+    recorder = Recorder(tmp_path / "r", VTUWriter(FrameMesh(POINTS, [], {"body": []})), COLUMNS)
     recorder.start({}, {})
     recorder.frame(0, 0.0, {"displacement": POINTS})
     frame = Result.open(tmp_path / "r").read_frame(0)
@@ -99,7 +101,7 @@ def test_a_mesh_without_cells_is_read(tmp_path: Path) -> None:
 def test_neighbouring_blocks_of_one_type_come_back_as_one(tmp_path: Path) -> None:
     edges = np.array([[0, 1], [1, 2]])
     mesh = FrameMesh(POINTS, [("line", edges), ("line", edges + 1)], {"body": [np.zeros(2), np.ones(2)]})
-    recorder = Recorder(tmp_path / "r", mesh)
+    recorder = Recorder(tmp_path / "r", VTUWriter(mesh), COLUMNS)
     recorder.start({}, {})
     recorder.frame(0, 0.0, {"displacement": POINTS})
     frame = Result.open(tmp_path / "r").read_frame(0)

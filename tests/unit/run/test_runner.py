@@ -85,7 +85,7 @@ def test_facts_and_history(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "iterations.csv").exists()
     # The resolved scene gives the same run.
     assert run_scene(tmp_path / "out" / "resolved.yaml", out=tmp_path / "again") == 0
-    np.testing.assert_array_equal(read_checkpoint(tmp_path / "out").x, read_checkpoint(tmp_path / "again").x)
+    np.testing.assert_array_equal(*(read_checkpoint(tmp_path / name).fields["x"] for name in ("out", "again")))
 
 
 def test_notices_reach_the_user(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -224,7 +224,7 @@ def test_a_taut_rod_carries_a_load_across(tmp_path: Path) -> None:
         solver={"tolerance": 1e-11},
     )
     assert run_scene(write(data, tmp_path / "s.yaml"), out=tmp_path / "out") == 0
-    x = read_checkpoint(tmp_path / "out").x
+    x = read_checkpoint(tmp_path / "out").fields["x"]
 
     mu = E / 2.0  # nu = 0: lambda = 0, lambda-hat = mu, psi' = mu (s - 1) + mu (s - 1) for stretches (s, 1, 1)
 

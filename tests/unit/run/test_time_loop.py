@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from femdeform.fem.incremental_potential import State
-from femdeform.run.time_loop import LoopOutcome, StepControl, default_min_dt, run_time_loop
+from femdeform.run.time_loop import LoopOutcome, SolverStepper, StepControl, default_min_dt, run_time_loop
 from femdeform.step_problem import StepResult
 
 
@@ -48,11 +48,10 @@ class Fake:
     def accept(self, state: State, x: Any) -> State:
         return State(x, state.v, state.time + self.dt, state.step + 1)
 
-    def run(self, control: StepControl, time: float = 0.0) -> LoopOutcome:
+    def run(self, control: StepControl, time: float = 0.0) -> LoopOutcome[State]:
         state = State(np.zeros((1, 2)), np.zeros((1, 2)), time)
         return run_time_loop(
-            self,  # type: ignore[arg-type]
-            self,
+            SolverStepper(self, self),  # type: ignore[arg-type]
             control,
             state,
             on_accept=lambda state, result, dt: self.accepted.append(dt),
@@ -157,8 +156,7 @@ def test_going_on_in_the_midst_of_small_steps() -> None:
     left: list[tuple[float, float, int]] = []
     steps = control()
     run_time_loop(
-        hard,  # type: ignore[arg-type]
-        hard,
+        SolverStepper(hard, hard),  # type: ignore[arg-type]
         steps,
         State(np.zeros((1, 2)), np.zeros((1, 2))),
         on_accept=lambda state, result, dt: left.append((state.time, steps.current, steps.streak)),

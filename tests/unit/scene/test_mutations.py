@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from femdeform.cli import main
 from femdeform.errors import InputError
-from femdeform.run import runner
+from femdeform.run import deformable
 from femdeform.scene.document import parse_document
 from femdeform.scene.key_path import format_key
 
@@ -315,7 +315,7 @@ def test_mutated_overrides(changed: tuple[str, list[str]]) -> None:
         raise InputError(SOUND)
 
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "build_simulation", set_up)
+        patch.setattr(deformable, "build_simulation", set_up)
         path = Path(folder) / "scene.yaml"
         path.write_text(text, encoding="utf-8")
         sets = [f"--set={override}" for override in overrides]

@@ -17,7 +17,6 @@ from femdeform.scene.reference import Section, scene_markdown, scene_pages, scen
 from femdeform.scene.reference_examples import given_examples
 from femdeform.scene.reference_words import block_in_yaml, cell, value_in_yaml
 from femdeform.scene.scene_model import Name, Positive, SceneModel, Vector
-from femdeform.scene.schema import DeformableScene
 from femdeform.scene.validation import find_faults
 
 WRITTEN = scene_sections()
@@ -28,7 +27,7 @@ def in_its_place(section: Section) -> type[BaseModel]:
     """A model with the key that the example stands under, as the schema has it."""
     assert section.block is not None
     owner, key = next(place for place in section.block.owners if place[1] == section.block.key)
-    info = (DeformableScene if owner is None else owner).model_fields[key]
+    info = owner.model_fields[key]
     return create_model("Place", __base__=SceneModel, **{key: (info.annotation, info)})
 
 

@@ -1,0 +1,64 @@
+"""The block `linear_solver:` of flows: what solves for the pressure."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field
+
+from femdeform.scene.scene_model import SceneModel, default_tag
+
+
+class _PressureModel(SceneModel):
+    tolerance: float = Field(default=1e-6, gt=0.0, lt=1.0, description="residual over the right-hand side [-]")
+    max_iterations: int = Field(default=2000, ge=1, description="iterations before the solve has failed")
+
+
+class MultigridPressureSolver(_PressureModel):
+    method: Literal["mg_pcg"] = Field(
+        default="mg_pcg", description="conjugate gradients with a geometric multigrid cycle"
+    )
+    sweeps: int = Field(default=2, ge=1, le=4, description="smoothing sweeps before and after each coarser level")
+    precision: Literal["float32", "float64"] = Field(default="float32", description="numbers inside of the cycle")
+
+
+class CGPressureSolver(_PressureModel):
+    method: Literal["cg"] = Field(description="conjugate gradients")
+
+
+class ICCPressureSolver(_PressureModel):
+    method: Literal["icc"] = Field(description="conjugate gradients with incomplete Cholesky factors")
+    modification: float = Field(
+        default=0.97, ge=0.0, le=1.0, description="part of dropped fill that goes to the diagonal; 0: IC(0) [-]"
+    )
+    backend: Literal["femdeform", "petsc"] = Field(
+        default="femdeform", description="whose factors; PETSc's know no modification"
+    )
+
+
+class DeflatedPressureSolver(_PressureModel):
+    method: Literal["deflated_cg"] = Field(description="conjugate gradients without the span of some Ritz vectors")
+    n_vectors: int = Field(default=16, ge=1, description="Ritz vectors")
+    seed: int = Field(default=0, ge=0, description="seed of the Lanczos process that finds them")
+
+
+class HyprePressureSolver(_PressureModel):
+    method: Literal["hypre"] = Field(description="conjugate gradients with hypre's algebraic multigrid, from PETSc")
+
+
+class GAMGPressureSolver(_PressureModel):
+    method: Literal["gamg"] = Field(description="conjugate gradients with PETSc's algebraic multigrid")
+
+
+PressureSolver = Annotated[
+    Annotated[
+        MultigridPressureSolver
+        | CGPressureSolver
+        | ICCPressureSolver
+        | DeflatedPressureSolver
+        | HyprePressureSolver
+        | GAMGPressureSolver,
+        Field(discriminator="method"),
+    ],
+    BeforeValidator(default_tag("method", "mg_pcg")),
+]
