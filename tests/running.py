@@ -85,7 +85,10 @@ def contents(folder: Path) -> dict[str, bytes]:
 def assert_same_result(one: Path, two: Path) -> None:
     """Two results agree in every bit but for wall times."""
     a, b = read_checkpoint(one), read_checkpoint(two)
-    for name in ("x", "v", "time", "step", "current_dt", "streak", "frames"):
+    assert set(a.fields) == set(b.fields)
+    for name, values in a.fields.items():
+        np.testing.assert_array_equal(values, b.fields[name], err_msg=name)
+    for name in ("time", "step", "current_dt", "streak", "frames"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
     names = sorted(contents(one))
     assert names == sorted(contents(two))

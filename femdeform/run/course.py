@@ -70,6 +70,8 @@ class Course(Stepper[M, R], Protocol[M, R]):
         ------
         InputError
             If it is not one of this simulation.
+        KeyError
+            If a field is missing.
         """
 
     def quantities(self, state: M) -> dict[str, float]:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from femdeform import parallel, registry
+from femdeform.errors import Fault, InputError
 from femdeform.jit import CompilationAnnouncer
-from femdeform.run.checkpoint import Checkpoint, write_checkpoint
+from femdeform.run.checkpoint import FILE_NAME, START_ANEW, Checkpoint, write_checkpoint
 from femdeform.run.course import Course
 from femdeform.run.expectations import describe_verdict
 from femdeform.run.failure import end_all_ranks, reason_of
@@ -312,7 +313,11 @@ class _Run:
         self.last_saved = state.step
 
     def _restore(self, checkpoint: Checkpoint) -> Moment:
-        state: Moment = self.course.restored(checkpoint.fields, checkpoint.time, checkpoint.step)
+        try:
+            state: Moment = self.course.restored(checkpoint.fields, checkpoint.time, checkpoint.step)
+        except KeyError as error:
+            message = f"the checkpoint is damaged (there is no {error} in it); {START_ANEW}"
+            raise InputError([Fault(str(self.folder / FILE_NAME), 0, "", message)]) from None
         self.control.current, self.control.streak = checkpoint.current_dt, checkpoint.streak
         self.n_frames = checkpoint.frames
         return state

@@ -49,7 +49,7 @@ DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "no time": (lambda data: edited(data, lambda file: file.attrs.pop("time")), "the checkpoint is damaged ("),
     "the future": (
         lambda data: edited(data, lambda file: file.attrs.__setitem__("version", 99)),
-        "checkpoint version 99 is not known here, only 3",
+        "checkpoint version 99 is not known here, only 4",
     ),
     "another scene": (
         lambda data: edited(data, lambda file: file.attrs.__setitem__("scene_hash", "0f")),
@@ -91,7 +91,8 @@ def test_damage(damage: str, unbroken: tuple[Path, Path], interrupted: Path, say
 
 def test_no_flipped_byte_goes_unnoticed(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    write_checkpoint(tmp_path, Checkpoint({"x": rng.random((20, 3)), "v": rng.random((20, 3))}, 0.5, 7, 0.1, 0, 3, 1.0, "abc"))
+    fields = {"x": rng.random((20, 3)), "v": rng.random((20, 3))}
+    write_checkpoint(tmp_path, Checkpoint(fields, 0.5, 7, 0.1, 0, 3, 1.0, "abc"))
     path = tmp_path / "checkpoint.h5"
     data = path.read_bytes()
     for place in range(0, len(data), 7):
@@ -114,7 +115,8 @@ def test_other_programs_can_read_it(unbroken: tuple[Path, Path]) -> None:
 
 def test_a_failed_write_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However far the writing has come: under its name there is always a whole checkpoint."""
-    first, second = (Checkpoint({"x": np.zeros((4, 2)), "v": np.ones((4, 2))}, 0.1, step, 0.1, 0, 1, 1.0, "abc") for step in (1, 2))
+    fields = {"x": np.zeros((4, 2)), "v": np.ones((4, 2))}
+    first, second = (Checkpoint(fields, 0.1, step, 0.1, 0, 1, 1.0, "abc") for step in (1, 2))
     write_checkpoint(tmp_path, first)
     for name in ("write_bytes", "replace", "fsync"):
 
