@@ -15,7 +15,12 @@ from femdeform.scene.load import load_scene
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 # Folders whose scenes have a module of their own, here and there; the scenes of all others are run below.
-ELSEWHERE = {"mixed": "test_mixed_scenes.py", "pbng": "test_pbng_scenes.py", "xpbd": "test_xpbd_scenes.py"}
+ELSEWHERE = {
+    "mixed": "test_mixed_scenes.py",
+    "pbng": "test_pbng_scenes.py",
+    "xpbd": "test_xpbd_scenes.py",
+    "flow": "test_flow_scenes.py",
+}
 # Batches are checked with the plans of runs.
 COMPARISONS = [path for path in sorted(SCENES.glob("studies/*.yaml")) if is_comparison(path)]
 NAMES = sorted(
@@ -38,7 +43,7 @@ def test_the_gallery_is_there() -> None:
 def test_a_comparison_has_no_faults(path: Path) -> None:
     """The file, the scene with all its values, every variant."""
     loaded = load_comparison(path)
-    scene = load_scene(loaded.scene_path).scene
+    scene = load_scene(loaded.scene_path).deformable
     # Large meshes say no more about the variants than small ones.
     small = [f"bodies.{name}.mesh.cells={[2] * len(body.mesh.cells)}" for name, body in scene.bodies.items()]
     variants = [Variant(label, options) for label, options in loaded.variants()]
