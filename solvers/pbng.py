@@ -14,6 +14,8 @@ from solvers.acceleration import SOR, Accelerator, Anderson, Chebyshev
 from solvers.descent import Advance, Iterate, is_rounding, ratio
 from solvers.linear.interface import LinearSolver
 from solvers.newton_finish import NewtonFinish
+from solvers.position_based.grid_node_sweep import GridNodeSweep
+from solvers.position_based.node_arrays import NodeArrays
 from solvers.position_based.node_sweep import NodeSweep
 
 # An acceleration that is taken back again and again rests for at most 2 to this power looks.
@@ -60,8 +62,10 @@ class PBNG:
             if linear_solver is None:
                 raise ValueError("finish: newton_krylov needs a linear solver")
             self.finish = NewtonFinish(linear_solver)
-        self._sweeps: dict[str, NodeSweep] = {}
+        self._sweeps: dict[str, NodeArrays] = {}
         self._problem: LocalStepProblem | None = None
+        self._grid: GridNodeSweep | None = None
+        self._layout = 0
 
     def step(
         self,
@@ -76,22 +80,34 @@ class PBNG:
         """
         return _Step(self, problem, state, observe, Budget() if budget is None else budget).run()
 
-    def sweep_of(self, problem: LocalStepProblem, precision: str) -> NodeSweep:
-        """The sweep for a problem, laid out once, with the step begun."""
+    def sweep_of(self, problem: LocalStepProblem, precision: str) -> NodeArrays:
+        """The sweep for a problem, laid out once, or again where its cells are over other nodes than before.
+
+        The step is begun.
+        """
         if self._problem is not problem:
-            self._problem, self._sweeps = problem, {}
+            self.destroy()
+        elif self._layout != problem.layout:
+            self._sweeps = {}
+        self._problem, self._layout = problem, problem.layout
         if precision not in self._sweeps:
-            self._sweeps[precision] = NodeSweep(problem, np.dtype(precision))
+            if problem.gathered_cells() is None:
+                self._sweeps[precision] = NodeSweep(problem, np.dtype(precision))
+            else:
+                self._grid = GridNodeSweep(problem, np.dtype(precision), self._grid)
+                self._sweeps[precision] = self._grid
         sweep = self._sweeps[precision]
         sweep.begin_step(problem)
         return sweep
 
     def reset(self) -> None:
-        """The layout depends on the problem alone; nothing else is held between steps."""
+        """Forget colours, where they come from earlier steps: else the layout depends on the problem alone."""
+        if self._problem is not None and self._problem.layout > 0:
+            self.destroy()
 
     def destroy(self) -> None:
         """Free the layout."""
-        self._problem, self._sweeps = None, {}
+        self._problem, self._sweeps, self._grid = None, {}, None
 
 
 def make_accelerator(options: PBNGSolver) -> Accelerator | None:

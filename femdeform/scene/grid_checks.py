@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from femdeform.scene import schema
-from femdeform.scene.constraint_schema import PBDSolver, XPBDQSSolver
+from femdeform.scene.constraint_schema import XPBDQSSolver
 from femdeform.scene.contact_schema import IPCMethod, WeakConstraintMethod
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.position_schema import PBNGSolver
@@ -27,9 +27,12 @@ def grid_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
     if scene.time.scheme == "quasistatic":
         message = "a grid-embedded body has no statics, too little of it is at the outer grid nodes; use backward_euler"
         yield Finding(("time", "scheme"), message)
-    if isinstance(scene.solver, (MixedFEMSolver, PBNGSolver, PBDSolver, XPBDQSSolver)):
-        message = f"{scene.solver.method} does not know `grid`; use projected_newton, xpbd, b_pxpbd or fp_pxpbd"
-        yield Finding(("solver", "method"), message)
+    if isinstance(scene.solver, (MixedFEMSolver, XPBDQSSolver)):
+        known = "projected_newton, pbng, xpbd, b_pxpbd or fp_pxpbd"
+        yield Finding(("solver", "method"), f"{scene.solver.method} does not know `grid`; use {known}")
+    if isinstance(scene.solver, PBNGSolver) and scene.solver.precision == "float32":
+        message = "grid nodes at the edge of a body have too little mass for it; use float64"
+        yield Finding(("solver", "precision"), message)
     if isinstance(scene.contact, IPCMethod | WeakConstraintMethod):
         message = "bodies in one grid touch through it; remove `contact`, or `grid`"
         yield Finding(("contact", "method"), message)
