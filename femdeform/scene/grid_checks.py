@@ -28,7 +28,7 @@ def grid_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
         message = "a grid-embedded body has no statics, too little of it is at the outer grid nodes; use backward_euler"
         yield Finding(("time", "scheme"), message)
     if isinstance(scene.solver, (MixedFEMSolver, XPBDQSSolver)):
-        known = "projected_newton, pbng, xpbd, b_pxpbd or fp_pxpbd"
+        known = "projected_newton, pbng, pbd, xpbd, b_pxpbd or fp_pxpbd"
         yield Finding(("solver", "method"), f"{scene.solver.method} does not know `grid`; use {known}")
     if isinstance(scene.solver, PBNGSolver) and scene.solver.precision == "float32":
         message = "grid nodes at the edge of a body have too little mass for it; use float64"
