@@ -1,4 +1,4 @@
-"""The scenes of scenes/xpbd: ropes, wires, cloth, a balloon, bodies in a grid; those of muscles have a module of their own."""
+"""The scenes of scenes/xpbd: ropes, wires, cloth, a balloon, bodies in a grid; muscles have a module of their own."""
 
 from __future__ import annotations
 
