@@ -59,6 +59,9 @@ def _body_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
             yield Finding(("bodies", name, "kind"), f"only solids are embedded in a grid, not a {body.kind}")
         elif body.element_order != 1:
             yield Finding(("bodies", name, "element_order"), "only linear elements are embedded in a grid")
+        if isinstance(body, schema.SolidBody) and body.all_muscles and scene.solver.method != "projected_newton":
+            message = f"{scene.solver.method} knows no muscles in a grid; use projected_newton"
+            yield Finding(("bodies", name, "muscles" if body.muscles else "muscle"), message)
         if body.mass == "consistent":
             yield Finding(("bodies", name, "mass"), "the grid takes its mass from nodes; use lumped")
 
