@@ -32,8 +32,8 @@ class PBNG:
     """One node after another takes a step of Newton's method on Phi with a modified, always definite 3x3 Hessian.
 
     Nodes of one colour share no cell and move at the same time, in threads; the result is the same for any number of
-    them. A step starts from free flight with inertia, else from the last state, with supports where they are at its
-    end. The residual is that of the `StepProblem`, looked at every `check_every` sweeps.
+    them. In a grid its nodes are moved, with the cells of the embedded meshes. A step starts from free flight with
+    inertia, else from the last state, with supports where they are at its end. The residual is that of the `StepProblem`, looked at every `check_every` sweeps.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ class PBNG:
     The first digits come fast, the last ones slowly unless there is a `finish`:
     the number of sweeps to a tolerance grows with the square of the
     number of cells across a body, and with h^2 E / (rho dx^2) in dynamics. Linear triangles and tetrahedra with lumped
-    mass; obstacles by penalty; one rank. Forces of pressure are those of the last check, so convergence under large
-    pressure is slower.
+    mass; obstacles by penalty, or as walls of a grid; one rank. Forces of pressure are those of the last check, so
+    convergence under large pressure is slower.
     """
 
     def __init__(self, options: PBNGSolver, linear_solver: LinearSolver | None = None) -> None:
