@@ -33,7 +33,8 @@ class PBNG:
 
     Nodes of one colour share no cell and move at the same time, in threads; the result is the same for any number of
     them. In a grid its nodes are moved, with the cells of the embedded meshes. A step starts from free flight with
-    inertia, else from the last state, with supports where they are at its end. The residual is that of the `StepProblem`, looked at every `check_every` sweeps.
+    inertia, else from the last state, with supports where they are at its end. The residual is that of the
+    `StepProblem`, looked at every `check_every` sweeps.
 
     Parameters
     ----------
