@@ -238,6 +238,11 @@ def set_threads(n: int | None = None) -> int:
     return count
 
 
+def threads() -> int:
+    """Return the number of threads that parallel kernels have now."""
+    return int(_numba().get_num_threads()) if "numba" in sys.modules else default_threads()
+
+
 # ---------------------------------------------------------------------------------------- compilation
 
 

@@ -14,6 +14,8 @@ from solvers.acceleration import SOR, Accelerator, Anderson, Chebyshev
 from solvers.descent import Advance, Iterate, is_rounding, ratio
 from solvers.linear.interface import LinearSolver
 from solvers.newton_finish import NewtonFinish
+from solvers.position_based.grid_node_sweep import GridNodeSweep
+from solvers.position_based.node_arrays import NodeArrays
 from solvers.position_based.node_sweep import NodeSweep
 
 # An acceleration that is taken back again and again rests for at most 2 to this power looks.
@@ -30,8 +32,9 @@ class PBNG:
     """One node after another takes a step of Newton's method on Phi with a modified, always definite 3x3 Hessian.
 
     Nodes of one colour share no cell and move at the same time, in threads; the result is the same for any number of
-    them. A step starts from free flight with inertia, else from the last state, with supports where they are at its
-    end. The residual is that of the `StepProblem`, looked at every `check_every` sweeps.
+    them. In a grid its nodes are moved, with the cells of the embedded meshes. A step starts from free flight with
+    inertia, else from the last state, with supports where they are at its end. The residual is that of the
+    `StepProblem`, looked at every `check_every` sweeps.
 
     Parameters
     ----------
@@ -49,8 +52,8 @@ class PBNG:
     The first digits come fast, the last ones slowly unless there is a `finish`:
     the number of sweeps to a tolerance grows with the square of the
     number of cells across a body, and with h^2 E / (rho dx^2) in dynamics. Linear triangles and tetrahedra with lumped
-    mass; obstacles by penalty; one rank. Forces of pressure are those of the last check, so convergence under large
-    pressure is slower.
+    mass; obstacles by penalty, or as walls of a grid; one rank. Forces of pressure are those of the last check, so
+    convergence under large pressure is slower.
     """
 
     def __init__(self, options: PBNGSolver, linear_solver: LinearSolver | None = None) -> None:
@@ -60,8 +63,10 @@ class PBNG:
             if linear_solver is None:
                 raise ValueError("finish: newton_krylov needs a linear solver")
             self.finish = NewtonFinish(linear_solver)
-        self._sweeps: dict[str, NodeSweep] = {}
+        self._sweeps: dict[str, NodeArrays] = {}
         self._problem: LocalStepProblem | None = None
+        self._grid: GridNodeSweep | None = None
+        self._layout = 0
 
     def step(
         self,
@@ -76,22 +81,34 @@ class PBNG:
         """
         return _Step(self, problem, state, observe, Budget() if budget is None else budget).run()
 
-    def sweep_of(self, problem: LocalStepProblem, precision: str) -> NodeSweep:
-        """The sweep for a problem, laid out once, with the step begun."""
+    def sweep_of(self, problem: LocalStepProblem, precision: str) -> NodeArrays:
+        """The sweep for a problem, laid out once, or again where its cells are over other nodes than before.
+
+        The step is begun.
+        """
         if self._problem is not problem:
-            self._problem, self._sweeps = problem, {}
+            self.destroy()
+        elif self._layout != problem.layout:
+            self._sweeps = {}
+        self._problem, self._layout = problem, problem.layout
         if precision not in self._sweeps:
-            self._sweeps[precision] = NodeSweep(problem, np.dtype(precision))
+            if problem.gathered_cells() is None:
+                self._sweeps[precision] = NodeSweep(problem, np.dtype(precision))
+            else:
+                self._grid = GridNodeSweep(problem, np.dtype(precision), self._grid)
+                self._sweeps[precision] = self._grid
         sweep = self._sweeps[precision]
         sweep.begin_step(problem)
         return sweep
 
     def reset(self) -> None:
-        """The layout depends on the problem alone; nothing else is held between steps."""
+        """Forget colours, where they come from earlier steps: else the layout depends on the problem alone."""
+        if self._problem is not None and self._problem.layout > 0:
+            self.destroy()
 
     def destroy(self) -> None:
         """Free the layout."""
-        self._problem, self._sweeps = None, {}
+        self._problem, self._sweeps, self._grid = None, {}, None
 
 
 def make_accelerator(options: PBNGSolver) -> Accelerator | None:

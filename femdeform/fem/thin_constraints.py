@@ -1,4 +1,4 @@
-"""Constraints of membranes and rods in place of an elastic law: edges, tethers, hinges and an enclosed volume.
+"""Constraints of membranes and rods in place of an elastic law: edges, tethers, hinges, bends, an enclosed volume.
 
 Each has the energy ``C^2 / (2 alpha)`` with the compliance alpha. Rest values are those of the reference state.
 """
@@ -6,18 +6,24 @@ Each has the energy ``C^2 / (2 alpha)`` with the compliance alpha. Rest values a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 
+from femdeform.counting_sort import sort_by_number
 from femdeform.errors import InputError
 from femdeform.fem import thin_kernels
 from femdeform.fem.discretization import ElementGroup
 from femdeform.fem.energies import ElasticEnergy
-from femdeform.fem.thin_kernels import BENDING, DISTANCE, TETHER
+from femdeform.fem.thin_kernels import BENDING, BOW, DISTANCE, FLEX_X, FLEX_Y, FLEX_Z, TETHER
 from femdeform.scene.thin_schema import MembraneConstraints, RodConstraints, Tether
 from femdeform.types import FloatArray, IntArray
+
+# Angle between two edges of a rod up to which it is straight there [rad]; and up to which, at a node of more than two
+# edges, one edge goes on in another.
+_STRAIGHT, _ONWARD = 1e-6, 0.5
 
 
 @dataclass(frozen=True)
@@ -27,11 +33,14 @@ class ThinConstraints:
     Attributes
     ----------
     kinds : (n,) int64
-        `thin_kernels.DISTANCE`, `TETHER` or `BENDING`.
+        `thin_kernels.DISTANCE`, `TETHER`, `BENDING`, or `FLEX_X`, `FLEX_Y`, `FLEX_Z` or `BOW`.
     nodes : (n, 4) int64
-        Nodes of each; two, or for hinges the edge and the two corners beside it; the rest 0.
+        Nodes of each; two, for hinges the edge and the two corners beside it, for bends of rods a node between its
+        neighbours; the rest 0.
     rests : (n,) float64
         Length [m] or angle [rad] without force.
+    shares : (n,) float64
+        Of bends of rods, the weight of the third node [-]; see `thin_kernels.bow`.
     stiffness : (n,) float64
         1 / compliance [N/m] or [N m/rad].
     surface : (n_triangles, 3) int64
@@ -43,6 +52,7 @@ class ThinConstraints:
     kinds: IntArray
     nodes: IntArray
     rests: FloatArray
+    shares: FloatArray
     stiffness: FloatArray
     surface: IntArray
     volume: float
@@ -85,7 +95,8 @@ def make_constraints(
     References
     ----------
     A. Van Gelder, Approximate simulation of elastic membranes by triangulated spring meshes (1998), for edges from
-    Young's modulus. T.-Y. Kim, N. Chentanez, M. Mueller, Long range attachments (2012), for tethers.
+    Young's modulus. M. Bergou, M. Wardetzky, S. Robinson, B. Audoly, E. Grinspun, Discrete elastic rods (2008), for the
+    curvature at a node of a rod. T.-Y. Kim, N. Chentanez, M. Mueller, Long range attachments (2012), for tethers.
     """
     cells = cells.astype(np.int64)
     edges, hinges, area = _edges(points, cells)
@@ -96,34 +107,100 @@ def make_constraints(
         stiffness = youngs_modulus * measure / lengths
     else:
         stiffness = youngs_modulus * measure * area / lengths**2
-    parts = [(DISTANCE, _padded(edges), lengths, stiffness)]
+    parts = [_Part(DISTANCE, _padded(edges), lengths, stiffness)]
     if options.tether is not None and anchors is not None:
         pairs, reach = _tethers(name, options.tether, edges, lengths, anchors, cells)
-        parts.append((TETHER, _padded(pairs), reach, np.full(len(pairs), 1.0 / options.tether.compliance)))
+        parts.append(_Part(TETHER, _padded(pairs), reach, np.full(len(pairs), 1.0 / options.tether.compliance)))
     surface, volume, bulk = np.empty((0, 3), dtype=np.int64), 0.0, 0.0
     if isinstance(options, MembraneConstraints):
         if options.bending is not None:
             angles = hinge_angles(points, hinges)
-            parts.append((BENDING, hinges, angles, np.full(len(hinges), 1.0 / options.bending)))
+            parts.append(_Part(BENDING, hinges, angles, np.full(len(hinges), 1.0 / options.bending)))
         if options.volume is not None:
             if 2 * len(hinges) != 3 * len(cells):
                 raise InputError(f"bodies.{name}.constraints.volume: the membrane is not closed")
             inside = enclosed_volume(points, cells)
             surface = cells if inside > 0.0 else cells[:, ::-1].copy()
             volume, bulk = options.volume.ratio * abs(inside), 1.0 / options.volume.compliance
+    elif options.bending_stiffness is not None:
+        parts += _bends(points, cells, options.bending_stiffness)
     return ThinConstraints(
-        np.concatenate([np.full(len(nodes), kind) for kind, nodes, _, _ in parts]),
-        np.ascontiguousarray(np.concatenate([nodes for _, nodes, _, _ in parts])),
-        np.concatenate([rest for _, _, rest, _ in parts]),
-        np.concatenate([k for _, _, _, k in parts]),
+        np.concatenate([np.full(len(part.nodes), part.kind) for part in parts]),
+        np.ascontiguousarray(np.concatenate([part.nodes for part in parts])),
+        np.concatenate([part.rests for part in parts]),
+        np.concatenate([np.zeros(len(part.nodes)) if part.shares is None else part.shares for part in parts]),
+        np.concatenate([part.stiffness for part in parts]),
         surface,
         volume,
         bulk,
     )
 
 
+class _Part(NamedTuple):
+    """Constraints of one kind; see `ThinConstraints`."""
+
+    kind: int
+    nodes: IntArray
+    rests: FloatArray
+    stiffness: FloatArray
+    shares: FloatArray | None = None
+
+
 def _padded(pairs: IntArray) -> IntArray:
     return np.concatenate([pairs, np.zeros_like(pairs)], axis=1)
+
+
+def _bends(points: FloatArray, edges: IntArray, stiffness: float) -> list[_Part]:
+    """Resistance of rods to bending, with the bending stiffness B [N m^2].
+
+    With the edges t1 and t2 over their lengths at rest, B |t2 - t1|^2 / (2 l) is the energy at a node, l being half the
+    length of both; t2 - t1 is (1/L1 + 1/L2) times the way from the node to the line between its neighbours.
+    """
+    triples = _consecutive(points, edges)
+    a, b, c = (points[triples[:, k]] for k in range(3))
+    one, two = (np.linalg.norm(d, axis=1) for d in (b - a, c - b))
+    shares = one / (one + two)
+    bows = np.linalg.norm((1.0 - shares)[:, None] * a + shares[:, None] * c - b, axis=1)
+    over = 1.0 / one + 1.0 / two
+    k = stiffness * over**2 / (0.5 * (one + two))
+    nodes = np.concatenate([triples, np.zeros((len(triples), 1), dtype=np.int64)], axis=1)
+    straight = bows * over <= _STRAIGHT
+    curved = ~straight
+    none = np.zeros(np.count_nonzero(straight))
+    parts = [_Part(kind, nodes[straight], none, k[straight], shares[straight]) for kind in (FLEX_X, FLEX_Y, FLEX_Z)]
+    return [*parts, _Part(BOW, nodes[curved], bows[curved], k[curved], shares[curved])]
+
+
+def _consecutive(points: FloatArray, edges: IntArray) -> IntArray:
+    """Nodes (n, 3) of two edges that go on in one another, the common one in the middle.
+
+    So do any two edges at a node that has no more; at other nodes two of which each is what continues the other best,
+    and nearly straight.
+    """
+    entries, offsets = sort_by_number(edges.ravel(), len(points))
+    counts = np.diff(offsets)
+    own = edges.ravel()[entries]
+    other = edges[entries // 2, 1 - entries % 2]
+    way = points[other] - points[own]
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    # Every ordered pair of entries of a node.
+    sizes = counts[own]
+    first = np.repeat(np.arange(own.size), sizes)
+    begin = np.concatenate([[0], np.cumsum(sizes)])[:-1]
+    second = np.repeat(offsets[own] - begin, sizes) + np.arange(first.size)
+    kept = first != second
+    first, second = first[kept], second[kept]
+    cosine = np.einsum("na,na->n", way[first], way[second])
+    order = np.lexsort((second, cosine, first))
+    leading, starts = np.unique(first[order], return_index=True)
+    best = np.full(own.size, -1, dtype=np.int64)
+    best[leading] = second[order[starts]]
+    turn = np.ones(own.size)
+    turn[leading] = cosine[order[starts]]
+    here = np.arange(own.size)
+    mutual = (best > here) & (best[best] == here) & ((counts[own] == 2) | (turn < -np.cos(_ONWARD)))
+    found = np.flatnonzero(mutual)
+    return np.column_stack([other[found], own[found], other[best[found]]]).astype(np.int64)
 
 
 def _edges(points: FloatArray, cells: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
@@ -212,7 +289,7 @@ class ThinConstraintEnergy(ElasticEnergy):
     def _evaluate(self, x: FloatArray) -> tuple[float, FloatArray]:
         c = self.constraints
         out = np.zeros_like(x)
-        energy = float(thin_kernels.add_weighted(c.kinds, c.nodes, c.rests, c.stiffness, self._zero, x, out))
+        energy = float(thin_kernels.add_weighted(c.kinds, c.nodes, c.rests, c.shares, c.stiffness, self._zero, x, out))
         if c.surface.size:
             excess = enclosed_volume(x, c.surface) - c.volume
             energy += 0.5 * c.bulk * excess * excess

@@ -1,4 +1,4 @@
-"""Constraints of single edges, tethers and hinges: C and its gradients, energies and forces, compiled."""
+"""Constraints of single edges, tethers, hinges and bends: C and its gradients, energies and forces, compiled."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from typing import Any
 from femdeform.jit import njit
 
 DISTANCE, TETHER, BENDING = 0, 1, 2
+# Of a node of a rod between two others: how far it is from the line between them, by components where that is nothing
+# at rest, as a distance where the rod is curved at rest.
+FLEX_X, FLEX_Y, FLEX_Z, BOW = 3, 4, 5, 6
 
 
 @njit
@@ -55,11 +58,37 @@ def hinge(a: Any, b: Any, c: Any, d: Any) -> Any:
 
 
 @njit
-def constraint(kind: Any, rest: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """C and its gradients at up to four nodes: an elongation [m], or a change of angle in (-pi, pi] [rad].
+def bow(kind: Any, rest: Any, share: Any, a: Any, b: Any, c: Any) -> Any:
+    """Of ``u = (1 - share) a + share c - b`` one component, or the length over that at rest [m], and its gradients [-].
+
+    A component is linear; a length has no gradient where it vanishes.
+    """
+    u = _minus(_sum(a, 1.0 - share, c, share), b)
+    one = rest - rest + 1.0
+    zero = 0.0 * one
+    if kind == BOW:
+        length = math.sqrt(_dot(u, u))
+        scale = one / length if length > 0.0 else zero
+        n = _sum(u, scale, u, 0.0)
+        C = length - rest
+    elif kind == FLEX_X:
+        C, n = u[0] - zero, (one, zero, zero)
+    elif kind == FLEX_Y:
+        C, n = u[1] - zero, (zero, one, zero)
+    else:
+        C, n = u[2] - zero, (zero, zero, one)
+    return C, _sum(n, 1.0 - share, n, 0.0), _sum(n, -1.0, n, 0.0), _sum(n, share, n, 0.0)
+
+
+@njit
+def constraint(kind: Any, rest: Any, share: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """C and its gradients at up to four nodes: a length [m], or a change of angle in (-pi, pi] [rad].
 
     That of a tether may be negative, where it has no energy.
     """
+    if kind > BENDING:
+        C, ga, gb, gc = bow(kind, rest, share, a, b, c)
+        return C, ga, gb, gc, _sum(gc, 0.0, gc, 0.0)
     if kind == BENDING:
         angle, ga, gb, gc, gd = hinge(a, b, c, d)
         change = angle - rest
@@ -90,12 +119,14 @@ def add_scaled(i: Any, s: Any, g: Any, out: Any) -> None:
 
 
 @njit
-def add_weighted(kinds: Any, nodes: Any, rests: Any, stiffness: Any, multipliers: Any, x: Any, out: Any) -> Any:
+def add_weighted(
+    kinds: Any, nodes: Any, rests: Any, shares: Any, stiffness: Any, multipliers: Any, x: Any, out: Any
+) -> Any:
     """Add ``sum (k C + l) grad C`` at the nodes, and return ``sum k C^2 / 2``.
 
     Parameters
     ----------
-    kinds, rests, stiffness, multipliers : (n,)
+    kinds, rests, shares, stiffness, multipliers : (n,)
         Of each constraint; k = 1 / compliance. A tether with C < 0 counts as C = 0.
     nodes : (n, 4)
         Rows of x; those that a kind does not have are 0.
@@ -106,7 +137,7 @@ def add_weighted(kinds: Any, nodes: Any, rests: Any, stiffness: Any, multipliers
     for r in range(kinds.size):
         a, b, c, d = nodes[r, 0], nodes[r, 1], nodes[r, 2], nodes[r, 3]
         C, ga, gb, gc, gd = constraint(
-            kinds[r], rests[r], load_point(a, x), load_point(b, x), load_point(c, x), load_point(d, x)
+            kinds[r], rests[r], shares[r], load_point(a, x), load_point(b, x), load_point(c, x), load_point(d, x)
         )
         if kinds[r] == TETHER:
             C = max(C, 0.0)
@@ -114,7 +145,8 @@ def add_weighted(kinds: Any, nodes: Any, rests: Any, stiffness: Any, multipliers
         push = stiffness[r] * C + multipliers[r]
         add_scaled(a, push, ga, out)
         add_scaled(b, push, gb, out)
-        if kinds[r] == BENDING:
+        if kinds[r] >= BENDING:
             add_scaled(c, push, gc, out)
+        if kinds[r] == BENDING:
             add_scaled(d, push, gd, out)
     return energy

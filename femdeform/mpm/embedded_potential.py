@@ -374,7 +374,7 @@ class EmbeddedPotential:
         ------
         InputError
         """
-        raise InputError("grid: this method sweeps over the nodes of meshes; use projected_newton, xpbd or b_pxpbd")
+        raise InputError("grid: this method knows cells of meshes only; use projected_newton, pbng, xpbd or b_pxpbd")
 
     def gathered_cells(self) -> list[GatheredCells]:
         """See `LocalStepProblem`: ``Gt_I = sum_{p in e} w_pI grad N_p``."""

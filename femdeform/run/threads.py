@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from femdeform.blas_threads import go_on_with
 from femdeform.jit import set_threads
 
 _THREADED_CELLS = 2000
@@ -29,5 +30,5 @@ def use_threads(threads: int | None, n_cells: int) -> int:
         threads = 1
     used = set_threads(threads)
     # PETSc's BLAS is loaded later and would take all cores on every rank.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(used))
+    go_on_with(used)
     return used

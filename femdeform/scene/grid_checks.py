@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from femdeform.scene import schema
-from femdeform.scene.constraint_schema import PBDSolver, XPBDQSSolver
+from femdeform.scene.constraint_schema import XPBDQSSolver
 from femdeform.scene.contact_schema import IPCMethod, WeakConstraintMethod
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.position_schema import PBNGSolver
@@ -27,9 +27,12 @@ def grid_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
     if scene.time.scheme == "quasistatic":
         message = "a grid-embedded body has no statics, too little of it is at the outer grid nodes; use backward_euler"
         yield Finding(("time", "scheme"), message)
-    if isinstance(scene.solver, (MixedFEMSolver, PBNGSolver, PBDSolver, XPBDQSSolver)):
-        message = f"{scene.solver.method} does not know `grid`; use projected_newton, xpbd, b_pxpbd or fp_pxpbd"
-        yield Finding(("solver", "method"), message)
+    if isinstance(scene.solver, (MixedFEMSolver, XPBDQSSolver)):
+        known = "projected_newton, pbng, pbd, xpbd, b_pxpbd or fp_pxpbd"
+        yield Finding(("solver", "method"), f"{scene.solver.method} does not know `grid`; use {known}")
+    if isinstance(scene.solver, PBNGSolver) and scene.solver.precision == "float32":
+        message = "grid nodes at the edge of a body have too little mass for it; use float64"
+        yield Finding(("solver", "precision"), message)
     if isinstance(scene.contact, IPCMethod | WeakConstraintMethod):
         message = "bodies in one grid touch through it; remove `contact`, or `grid`"
         yield Finding(("contact", "method"), message)
@@ -56,6 +59,9 @@ def _body_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
             yield Finding(("bodies", name, "kind"), f"only solids are embedded in a grid, not a {body.kind}")
         elif body.element_order != 1:
             yield Finding(("bodies", name, "element_order"), "only linear elements are embedded in a grid")
+        if isinstance(body, schema.SolidBody) and body.all_muscles and scene.solver.method != "projected_newton":
+            message = f"{scene.solver.method} knows no muscles in a grid; use projected_newton"
+            yield Finding(("bodies", name, "muscles" if body.muscles else "muscle"), message)
         if body.mass == "consistent":
             yield Finding(("bodies", name, "mass"), "the grid takes its mass from nodes; use lumped")
 

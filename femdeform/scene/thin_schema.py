@@ -28,6 +28,11 @@ class RodConstraints(SceneModel):
     """Constraints in place of the energy of the law."""
 
     edges: Positive | None = Field(default=None, description=_EDGE + "L / (E A)")
+    bending_stiffness: Positive | None = Field(
+        default=None,
+        description="bending stiffness of the rod, moment per curvature, E pi r^4 / 4 of a round one [N m^2]; default: "
+        "no resistance",
+    )
     tether: Tether | None = Field(default=None, description="limit of the distance from anchors")
 
 

@@ -5,7 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from femdeform.blas_threads import is_chosen
+from femdeform.jit import threads
 from solvers.linear import coo
+
+
+def follow_kernels() -> None:
+    """Give PETSc's BLAS the threads of the kernels, unless the user has chosen.
+
+    It has them already where it was loaded after their number was known and is a library of its own; not where PETSc
+    was loaded earlier, or shares the library of NumPy, which begins with one.
+    """
+    library = coo.library()
+    if hasattr(library, "openblas_set_num_threads") and not is_chosen():
+        library.openblas_set_num_threads(threads())
 
 
 @contextmanager

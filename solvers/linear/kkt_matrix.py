@@ -11,7 +11,7 @@ import numpy as np
 from femdeform.errors import Fault, InputError
 from femdeform.parallel import Partition
 from femdeform.types import FloatArray, IntArray
-from solvers.linear import coo
+from solvers.linear import blas, coo
 from solvers.linear.ksp import load_preset
 
 _numbers = itertools.count()
@@ -78,6 +78,7 @@ class PETScMatrix:
     ) -> None:
         from petsc4py import PETSc
 
+        blas.follow_kernels()
         self._PETSc = PETSc
         comm = PETSc.COMM_SELF if numbering.partition.comm is None else numbering.partition.comm
         self._prefix = f"femdeform_kkt_{next(_numbers)}_"

@@ -68,6 +68,7 @@ def _petsc() -> Any:
         from petsc4py import PETSc
     except ImportError as error:
         raise MissingDependencyError(f"petsc4py cannot be imported: {error}") from None
+    blas.follow_kernels()
     return PETSc
 
 

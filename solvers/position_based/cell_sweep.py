@@ -37,6 +37,8 @@ class CellSweep:
         Square of the time step of the sweep [s^2].
     links_first : bool
         Weak constraints before the cells, not after them.
+    needs_kappa : bool
+        Whether the layout has stiffness numbers of cells.
     has_residual_parts : bool
         Whether `residual_parts` can be had: PBD has no multipliers.
     """
@@ -45,10 +47,11 @@ class CellSweep:
     blend = 1.0
     link_mode = link_kernels.PLAIN
     knows = frozenset[Feature]({"links"})
+    needs_kappa = False
 
     def __init__(self, problem: LocalStepProblem, rigid: bool = False, previous: CellSweep | None = None) -> None:
         earlier = None if previous is None else previous._layout
-        self._layout: CellLayout = lay_out_cells(problem, self.stride, self.knows, earlier)
+        self._layout: CellLayout = lay_out_cells(problem, self.stride, self.knows, earlier, self.needs_kappa)
         self.n_colors = self._layout.n_colors
         self.n_nodes, self.dim = problem.points.shape
         self._dim = (0,) * self.dim

@@ -104,10 +104,11 @@ class BlendedSweep(BasedSweep):
     ) -> None:
         if keep_residual:
             self.link_mode = link_kernels.SOLVED
+        self._wanted = 0.0 if keep_residual else zeta
+        self.needs_kappa = self._wanted is None
         super().__init__(problem, previous)
         require_pairs(self.batches, PAIRED)
         self.epsilon, self.keep_residual = epsilon, keep_residual
-        self._wanted = 0.0 if keep_residual else zeta
         self.multipliers = [np.zeros((len(batch.volumes), 2)) for batch in self.batches]
         self.zeta = [np.zeros(len(batch.volumes)) for batch in self.batches]
 
@@ -115,10 +116,14 @@ class BlendedSweep(BasedSweep):
         super()._forget()
         for multipliers in self.multipliers:
             multipliers[:] = 0.0
-        largest = max((float(batch.unit_kappa.max()) for batch in self.batches), default=0.0)
-        calm = self.h2 * largest <= _CALM
-        for zeta, batch in zip(self.zeta, self.batches, strict=True):
-            zeta[:] = self._safe_zeta(batch, calm) if self._wanted is None else self._wanted
+        if self._wanted is None:
+            largest = max((float(batch.unit_kappa.max()) for batch in self.batches), default=0.0)
+            calm = self.h2 * largest <= _CALM
+            for zeta, batch in zip(self.zeta, self.batches, strict=True):
+                zeta[:] = self._safe_zeta(batch, calm)
+        else:
+            for zeta in self.zeta:
+                zeta[:] = self._wanted
         self.blend = max((float(zeta.max()) for zeta in self.zeta if zeta.size), default=0.0)
 
     def _safe_zeta(self, batch: CellBatch, calm: bool) -> FloatArray:

@@ -35,6 +35,41 @@ def is_gathered(corners: Any) -> bool:
     return isinstance(corners, types.BaseNamedTuple) and corners.instance_class is GatheredCorners
 
 
+class StoredVisits(NamedTuple):
+    """Visits of nodes to cells whose deformation is kept, since too many nodes decide it to make it anew each time.
+
+    Attributes
+    ----------
+    cells : (n_visits,) uint32
+        Cell of each visit.
+    deformations : (n_cells, dim dim)
+        F of each cell at the present positions.
+    """
+
+    cells: np.ndarray[Any, np.dtype[np.uint32]]
+    deformations: np.ndarray[Any, np.dtype[np.float64]]
+
+
+def is_stored(others: Any) -> bool:
+    """Whether numba's type of `others` is that of `StoredVisits`."""
+    return isinstance(others, types.BaseNamedTuple) and others.instance_class is StoredVisits
+
+
+def gathered_visit(dim: int) -> Any:
+    """See `node_kernels.visit_deformation`."""
+
+    def spatial(x: Any, i: Any, others: Any, gradients: Any, v: Any, dim: Any) -> Any:
+        F, e = others.deformations, others.cells[v]
+        n = (gradients[0, v], gradients[1, v], gradients[2, v])
+        return (F[e, 0], F[e, 1], F[e, 2], F[e, 3], F[e, 4], F[e, 5], F[e, 6], F[e, 7], F[e, 8]), n
+
+    def planar(x: Any, i: Any, others: Any, gradients: Any, v: Any, dim: Any) -> Any:
+        F, e = others.deformations, others.cells[v]
+        return (F[e, 0], F[e, 1], F[e, 2], F[e, 3]), (gradients[0, v], gradients[1, v])
+
+    return spatial if dim == 3 else planar
+
+
 # ---------------------------------------------------------------------------------------- deformation
 
 

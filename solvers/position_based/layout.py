@@ -157,14 +157,14 @@ def list_visits(cells: LocalCells, numbering: Numbering, dtype: Any, with_gradie
         with_precision(cells.law, dtype),
         nodes.astype(np.uint32),
         offsets,
-        [_split(offsets, int(a), int(b)) for a, b in itertools.pairwise(rows)],
+        [split(offsets, int(a), int(b)) for a, b in itertools.pairwise(rows)],
         others,
         gradients,
         volumes,
     )
 
 
-def _split(offsets: IntArray, first: int, last: int) -> IntArray:
+def split(offsets: IntArray, first: int, last: int) -> IntArray:
     """Rows at which pieces of about `_CHUNK_VISITS` visits begin, with the end."""
     visits = int(offsets[last] - offsets[first])
     pieces = max(1, -(-visits // _CHUNK_VISITS))

@@ -14,6 +14,8 @@ from numba.extending import overload
 
 from femdeform.jit import njit, prange
 from femdeform.materials.dispatch import energy_density, pk1
+from solvers.position_based.constraints import ROTATED, rotation, stress
+from solvers.position_based.gathered_corners import gathered_visit, is_stored
 from solvers.position_based.nodal_blocks import apply_2d, apply_3d, nodal_block
 
 
@@ -53,6 +55,40 @@ def deformation_2d(x: Any, i: Any, others: Any, gradients: Any, v: Any) -> Any:
     return (e0 * n0 + p0 * g0, e0 * n1 + p0 * g1, e1 * n0 + p1 * g0, e1 * n1 + p1 * g1), (n0, n1)
 
 
+def visit_deformation(x: Any, i: Any, others: Any, gradients: Any, v: Any, dim: Any) -> Any:
+    """F of the cell of visit v and the gradient of the node's shape function, from the positions or as it is stored."""
+    raise NotImplementedError("compiled code only")
+
+
+@overload(visit_deformation)
+def _visit_deformation(x: Any, i: Any, others: Any, gradients: Any, v: Any, dim: Any) -> Any:
+    def spatial(x: Any, i: Any, others: Any, gradients: Any, v: Any, dim: Any) -> Any:
+        return deformation_3d(x, i, others, gradients, v)
+
+    def planar(x: Any, i: Any, others: Any, gradients: Any, v: Any, dim: Any) -> Any:
+        return deformation_2d(x, i, others, gradients, v)
+
+    if is_stored(others):
+        return gathered_visit(len(dim))
+    return spatial if len(dim) == 3 else planar
+
+
+def visit_stress(F: Any, law: Any) -> Any:
+    """`pk1`, by the fast rotation of the law where it has one."""
+    raise NotImplementedError("compiled code only")
+
+
+@overload(visit_stress)
+def _visit_stress(F: Any, law: Any) -> Any:
+    def rotated(F: Any, law: Any) -> Any:
+        return stress(F, rotation(F), law)
+
+    def any_law(F: Any, law: Any) -> Any:
+        return pk1(F, law)
+
+    return rotated if law.instance_class in ROTATED and len(F) == 9 else any_law
+
+
 def node_terms(
     x: Any, i: Any, first: Any, last: Any, others: Any, gradients: Any, volumes: Any, law: Any, dim: Any
 ) -> Any:
@@ -71,9 +107,9 @@ def _node_terms(
         f0 = f1 = f2 = zero
         a0 = a1 = a2 = a3 = a4 = a5 = zero
         for v in range(first, last):
-            F, n = deformation_3d(x, i, others, gradients, v)
+            F, n = visit_deformation(x, i, others, gradients, v, dim)
             V = volumes[v]
-            t = apply_3d(pk1(F, law), n)
+            t = apply_3d(visit_stress(F, law), n)
             A = nodal_block(F, n, law)
             f0 -= V * t[0]
             f1 -= V * t[1]
@@ -92,9 +128,9 @@ def _node_terms(
         zero = x[i] - x[i]
         f0 = f1 = a0 = a1 = a5 = zero
         for v in range(first, last):
-            F, n = deformation_2d(x, i, others, gradients, v)
+            F, n = visit_deformation(x, i, others, gradients, v, dim)
             V = volumes[v]
-            t = apply_2d(pk1(F, law), n)
+            t = apply_2d(visit_stress(F, law), n)
             A = nodal_block(F, n, law)
             f0 -= V * t[0]
             f1 -= V * t[1]
@@ -177,7 +213,7 @@ def _visit_energies(
     ) -> Any:
         energy = size = 0.0
         for v in range(first, last):
-            F, n = deformation_3d(x, i, others, gradients, v)
+            F, n = visit_deformation(x, i, others, gradients, v, dim)
             moved = (
                 F[0] + s[0] * n[0],
                 F[1] + s[0] * n[1],
@@ -199,7 +235,7 @@ def _visit_energies(
     ) -> Any:
         energy = size = 0.0
         for v in range(first, last):
-            F, n = deformation_2d(x, i, others, gradients, v)
+            F, n = visit_deformation(x, i, others, gradients, v, dim)
             moved = (F[0] + s[0] * n[0], F[1] + s[0] * n[1], F[2] + s[1] * n[0], F[3] + s[1] * n[1])
             part = volumes[v] * energy_density(moved, law)
             energy += part

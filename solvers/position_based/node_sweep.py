@@ -16,6 +16,7 @@ from femdeform.types import BoolArray, FloatArray, IntArray
 from solvers.coloring import color, incidence, recolor
 from solvers.position_based import fast_kernels, layout, move_kernels, node_kernels, row_kernels
 from solvers.position_based.nodal_blocks import is_bounded
+from solvers.position_based.node_arrays import NodeArrays
 from solvers.position_based.node_fibres import NodeFibres
 from solvers.position_based.obstacle_kernels import ObstacleData, collect
 from solvers.position_based.stiff_block import StiffBlock, stiff_nodes
@@ -23,11 +24,11 @@ from solvers.position_based.stiff_block import StiffBlock, stiff_nodes
 _CellData = tuple[layout.Indices, FloatArray, FloatArray, Any, tuple[int, ...]]
 
 # Halvings of a step after which a node waits for its neighbours.
-_HALVINGS = 30
+HALVINGS = 30
 
 
-class NodeSweep:
-    """The arrays of a sweep over the nodes, and the sweep.
+class NodeSweep(NodeArrays):
+    """A sweep over the nodes of meshes.
 
     Parameters
     ----------
@@ -46,19 +47,17 @@ class NodeSweep:
     """
 
     def __init__(self, problem: LocalStepProblem, dtype: Any = np.float64) -> None:
-        self.dtype = np.dtype(dtype)
         self._groups = groups = list(problem.local_cells(("links", "weak_contact", "fibres")))
-        self.n_nodes, self.dim = problem.points.shape
+        n_nodes = len(problem.points)
         links: WeakConstraints | None = problem.links
-        stiff = np.zeros(self.n_nodes, dtype=bool)
+        stiff = np.zeros(n_nodes, dtype=bool)
         if links is not None:
-            stiff = stiff_nodes(groups, links, self.n_nodes)
-        colors = _colors(groups, links, stiff)
+            stiff = stiff_nodes(groups, links, n_nodes)
         # A node without cells has no stiffness to divide by.
-        used = np.zeros(self.n_nodes, dtype=bool)
+        used = np.zeros(n_nodes, dtype=bool)
         for group in groups:
             used[group.cells] = True
-        self.numbering = layout.number_nodes(problem.points, colors, problem.free.any(axis=1) & used)
+        super().__init__(problem, _colors(groups, links, stiff), used, dtype)
         self._parts = [_law_cells(group, self.numbering, self.dtype) for group in groups]
         self._fibres = [
             NodeFibres(group, fibres, self.numbering, self.dtype) for group in groups for fibres in group.fibres
@@ -71,39 +70,13 @@ class NodeSweep:
             self._row_cuts = np.searchsorted(self._rows.nodes, offsets)
         self._stiff = np.flatnonzero(stiff & (place < offsets[-1]))
         self.block: StiffBlock | None = None
-        n = self.n_nodes
-        free = np.zeros((n, 3), dtype=np.uint8)
-        free[:, : self.dim] = problem.free[self.numbering.order]
-        self._free = free.ravel()
         self._own_free = self._free.copy()
-        self._weights = np.zeros(n, dtype=self.dtype)
-        self._centers = np.zeros(3 * n, dtype=self.dtype)
-        self._loads = np.zeros(3 * n, dtype=self.dtype)
-        self._follower = np.zeros((n, self.dim))
-        self._load = np.zeros((n, self.dim))
-        self._acc = np.zeros(9 * n, dtype=self.dtype)
-        self._steps = np.zeros(3 * n, dtype=self.dtype)
-        self._taken = np.ones(n, dtype=self.dtype)
         self._obstacles: ObstacleData | None = None
         self._needs_check = bool(self._fibres) or any(not part.is_bounded for part in self._parts)
 
-    @property
-    def n_colors(self) -> int:
-        """Number of colours, one threaded loop each."""
-        return self.numbering.n_colors
-
-    @property
-    def moving(self) -> slice:
-        """The part of flat positions that sweeps change."""
-        return slice(0, 3 * int(self.numbering.color_offsets[-1]))
-
     def begin_step(self, problem: LocalStepProblem) -> None:
-        """Take over what the step begun has frozen: inertia, loads, obstacles."""
-        terms = problem.nodal_terms()
-        self._weights[:] = terms.weights[self.numbering.order]
-        self._write(self._centers, terms.centers)
-        self._load = terms.loads
-        self._write(self._loads, self._load)
+        """Take over what the step begun has frozen: inertia, loads, obstacles, weak constraints."""
+        super().begin_step(problem)
         contacts = problem.node_contacts()
         self._obstacles = collect(contacts, self.numbering.place, self.dim) if contacts else None
         if self._links is not None and self._rows is not None:
@@ -128,25 +101,9 @@ class NodeSweep:
 
     def update_loads(self, problem: LocalStepProblem, x: FloatArray) -> None:
         """Evaluate forces that follow the positions x (n_nodes, dim), where there are any; renew what lags behind."""
-        follower = problem.follower_forces(x)
-        if follower is not None:
-            self._write(self._loads, self._load + follower)
+        super().update_loads(problem, x)
         if self.block is not None:
             self.block.renew()
-
-    def flat(self, x: FloatArray) -> FloatArray:
-        """Positions (n_nodes, dim) in the order, the precision and the width of the sweep."""
-        out = np.zeros(3 * self.n_nodes, dtype=self.dtype)
-        self._write(out, x)
-        return out
-
-    def unflat(self, flat: FloatArray, out: FloatArray) -> None:
-        """Write flat positions of the nodes that move back to ``out`` (n_nodes, dim)."""
-        n = int(self.numbering.color_offsets[-1])
-        out[self.numbering.order[:n]] = flat.reshape(-1, 3)[:n, : self.dim]
-
-    def _write(self, flat: FloatArray, field: FloatArray) -> None:
-        flat.reshape(-1, 3)[:, : self.dim] = field[self.numbering.order]
 
     def sweep(self, x: FloatArray, relaxation: float = 1.0) -> None:
         """Move every node once.
@@ -270,7 +227,7 @@ class _LawCells:
     def shorten(self, color: int, x: FloatArray, steps: FloatArray, parts: FloatArray) -> None:
         """Lower the parts of steps that these cells allow."""
         chunks, nodes, offsets, cells = self._arguments(color)
-        node_kernels.shorten_steps(chunks, nodes, offsets, *cells, self._flat, _HALVINGS, x, steps, parts)
+        node_kernels.shorten_steps(chunks, nodes, offsets, *cells, self._flat, HALVINGS, x, steps, parts)
 
 
 class _NeoHookeanCells(_LawCells):

@@ -1,4 +1,4 @@
-"""XPBD and PBD on the constraints of a membrane or rod: edges, tethers, hinges, an enclosed volume."""
+"""XPBD and PBD on the constraints of a membrane or rod: edges, tethers, hinges, bends, an enclosed volume."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from femdeform.fem.thin_constraints import ThinConstraints, enclosed_volume, volume_gradient
-from femdeform.fem.thin_kernels import BENDING, TETHER, add_weighted, constraint
+from femdeform.fem.thin_kernels import BENDING, FLEX_X, FLEX_Y, FLEX_Z, TETHER, add_weighted, constraint
 from femdeform.jit import njit, prange
 from femdeform.types import BoolArray, FloatArray, IntArray
 from solvers.coloring import color, moving_sets
@@ -50,12 +50,11 @@ class ThinSweep:
         c = constraints
         self._free, self._stride, self._rigid = free, stride, rigid
         moves: BoolArray = np.any(free, axis=1)
-        hinged = c.kinds == BENDING
-        # Kinds lie one after another, hinges last.
-        colors = color(moving_sets([c.nodes[~hinged, :2], c.nodes[hinged]], moves[place]).transposed())
+        colors = _colors(c, moves[place])
         order = np.lexsort((c.kinds, colors))
         self._cuts = np.searchsorted(colors[order], np.arange(int(colors.max(initial=-1)) + 2))
         self._kinds, self._rests, self._stiffness = c.kinds[order], c.rests[order], c.stiffness[order]
+        self._shares = c.shares[order]
         self._nodes = np.ascontiguousarray(place[c.nodes[order]])
         self._surface = place[c.surface]
         self._volume, self._bulk = c.volume, c.bulk
@@ -84,6 +83,7 @@ class ThinSweep:
                 self._kinds,
                 self._nodes,
                 self._rests,
+                self._shares,
                 self._stiffness,
                 self._stride,
                 self._free,
@@ -111,13 +111,29 @@ class ThinSweep:
     def defects(self, points: FloatArray, h2: float, held: FloatArray, missing: FloatArray) -> None:
         """Add ``sum l grad C`` and ``sum (s C + l) grad C`` at the present positions; see `LinkSweep.defects`."""
         none = np.zeros_like(self._stiffness)
-        add_weighted(self._kinds, self._nodes, self._rests, none, self.multipliers, points, held)
-        add_weighted(self._kinds, self._nodes, self._rests, h2 * self._stiffness, self.multipliers, points, missing)
+        rows = (self._kinds, self._nodes, self._rests, self._shares)
+        add_weighted(*rows, none, self.multipliers, points, held)
+        add_weighted(*rows, h2 * self._stiffness, self.multipliers, points, missing)
         if self._surface.size:
             gradient = volume_gradient(points, self._surface)
             excess = enclosed_volume(points, self._surface) - self._volume
             held += self.volume_multiplier * gradient
             missing += (h2 * self._bulk * excess + self.volume_multiplier) * gradient
+
+
+def _colors(constraints: ThinConstraints, moves: BoolArray) -> IntArray:
+    """Colours of the constraints, by the nodes that move; components of one bend move nothing in common."""
+    kinds, nodes = constraints.kinds, constraints.nodes
+    hinged, flat = kinds == BENDING, kinds < BENDING
+    # Kinds lie one after another; a body has hinges or bends.
+    later = (kinds == FLEX_Y) | (kinds == FLEX_Z)
+    bends = (kinds > BENDING) & ~later
+    colors = np.empty(kinds.size, dtype=np.int64)
+    sets = [nodes[flat, :2], nodes[hinged], nodes[bends, :3]]
+    colors[~later] = color(moving_sets(sets, moves).transposed())
+    for kind in (FLEX_Y, FLEX_Z):
+        colors[kinds == kind] = colors[kinds == FLEX_X]
+    return colors
 
 
 @njit
@@ -138,7 +154,8 @@ def _move(i: Any, step: Any, g: Any, stride: Any, free: Any, x: Any) -> None:
     p = stride * i
     scale = step * x[p + 3]
     for a in range(3):
-        if free[i, a] != 0:
+        # Another thread may move a component that this constraint does not have.
+        if free[i, a] != 0 and g[a] != 0.0:
             x[p + a] += scale * g[a]
 
 
@@ -149,6 +166,7 @@ def project_thin(
     kinds: Any,
     nodes: Any,
     rests: Any,
+    shares: Any,
     stiffness: Any,
     stride: Any,
     free: Any,
@@ -165,7 +183,7 @@ def project_thin(
     ----------
     first, last : int
         Constraints of one colour.
-    kinds, nodes, rests, stiffness
+    kinds, nodes, rests, shares, stiffness
         See `ThinConstraints`; nodes by place.
     stride, free, h2, rigid, x
         See `link_kernels.project_rows`.
@@ -178,14 +196,17 @@ def project_thin(
             C, gi, gj, gk, gm = constraint(
                 kinds[r],
                 rests[r],
+                shares[r],
                 _point(i, stride, x),
                 _point(j, stride, x),
                 _point(k, stride, x),
                 _point(m, stride, x),
             )
             W = _mobility(i, gi, stride, free, x) + _mobility(j, gj, stride, free, x)
+            if kinds[r] >= BENDING:
+                W += _mobility(k, gk, stride, free, x)
             if kinds[r] == BENDING:
-                W += _mobility(k, gk, stride, free, x) + _mobility(m, gm, stride, free, x)
+                W += _mobility(m, gm, stride, free, x)
             if kinds[r] == TETHER and rigid and C <= 0.0:
                 continue
             step = step_length(C, W, h2 * stiffness[r], multipliers[r], rigid)
@@ -196,6 +217,7 @@ def project_thin(
             multipliers[r] += step
             _move(i, step, gi, stride, free, x)
             _move(j, step, gj, stride, free, x)
-            if kinds[r] == BENDING:
+            if kinds[r] >= BENDING:
                 _move(k, step, gk, stride, free, x)
+            if kinds[r] == BENDING:
                 _move(m, step, gm, stride, free, x)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scenario
 
+from femdeform.materials import LAWS
 from femdeform.run.setup import Simulation
 from femdeform.run.time_loop import take_step
 from femdeform.step_problem import StepResult
@@ -64,13 +65,51 @@ def test_sweeps_converge_to_the_solution_of_newton(kernel: str, dim: int, walls:
     assert steps(exact, 3).relative_residual < 1e-11
     assert exact.problem.rows is None if walls == "sticky" else exact.problem.rows is not None
     moved = np.abs(exact.state.x - exact.discretization.points).max()
-    for method in ("b_pxpbd", "fp_pxpbd"):
+    for method in ("b_pxpbd", "fp_pxpbd", "pbng"):
         options = {"method": method, "tolerance": 1e-10, "max_iterations": 400}
         found = build(options, kernel, dim, law, walls)
         result = steps(found, 3)
         assert result.converged
+        assert result.relative_residual <= 1e-10
         assert np.abs(found.state.x - exact.state.x).max() < 1e-8 * moved
         assert np.abs(found.state.v - exact.state.v).max() < 1e-8 * np.abs(exact.state.v).max()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("law", list(LAWS))
+def test_sweeps_over_grid_nodes_for_every_law_of_stiff_bodies(law: str, dim: int) -> None:
+    """kappa is 25 here, far beyond what sweeps over cells bear."""
+    exact = build(NEWTON, "quadratic", dim, law, "separating", E=1e4)
+    found = build({"method": "pbng", "tolerance": 1e-10}, "quadratic", dim, law, "separating", E=1e4)
+    for simulation in (exact, found):
+        result = steps(simulation, 2)
+    assert result.converged
+    assert result.relative_residual <= 1e-10
+    moved = np.abs(exact.state.x - exact.discretization.points).max()
+    assert np.abs(found.state.x - exact.state.x).max() < 1e-7 * moved
+
+
+@pytest.mark.parametrize("more", [{"acceleration": "chebyshev"}, {"finish": "newton_krylov", "acceleration": "none"}])
+def test_accelerations_and_the_finish_go_with_a_grid(more: dict[str, Any]) -> None:
+    exact = build(NEWTON, "quadratic", 2, "neo_hookean", "separating", E=1e4)
+    found = build({"method": "pbng", "tolerance": 1e-10, **more}, "quadratic", 2, "neo_hookean", "separating", E=1e4)
+    steps(exact, 2)
+    result = steps(found, 2)
+    assert result.converged
+    assert (result.linear_iterations > 0) == ("finish" in more)
+    assert np.abs(found.state.x - exact.state.x).max() < 1e-8
+
+
+def test_pbd_is_the_limit_of_stiff_xpbd() -> None:
+    """The same sweeps with next to no compliance and with none; without walls, whose penalty grows with E."""
+    found = []
+    for solver, E in (({"method": "pbd"}, 1e3), ({"method": "xpbd", "epsilon": 0.0}, 1e15)):
+        simulation = build({**solver, "iterations": 5}, "quadratic", 2, "fixed_corotated", "sticky", E)
+        steps(simulation, 2)
+        found.append(simulation.state.x)
+    rest = simulation.discretization.points
+    assert np.abs(found[0] - rest).max() > 0.01
+    assert np.abs(found[0] - found[1]).max() < 1e-9
 
 
 @pytest.mark.parametrize("kernel", ["linear", "quadratic"])

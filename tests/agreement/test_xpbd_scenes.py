@@ -1,4 +1,4 @@
-"""The scenes of scenes/xpbd: ropes, cloth, a balloon, bodies in a grid; those of muscles have a module of their own."""
+"""The scenes of scenes/xpbd: ropes, wires, cloth, a balloon, bodies in a grid; muscles have a module of their own."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from femdeform.scene.load import load_scene
 SCENES = Path(__file__).resolve().parents[2] / "scenes" / "xpbd"
 NAMES = sorted({path.stem for path in SCENES.glob("*.yaml")} - {"muscle-box"})
 # Scenes of a few seconds.
-QUICK = {"rope", "hanging-cloth", "balloon"}
+QUICK = {"rope", "hanging-cloth", "balloon", "bending-wires"}
 
 
 @pytest.mark.parametrize("name", NAMES)

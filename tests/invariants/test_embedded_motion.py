@@ -146,7 +146,7 @@ def history(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("method", ["projected_newton", "b_pxpbd"])
+@pytest.mark.parametrize("method", ["projected_newton", "b_pxpbd", "pbng"])
 def test_threads_and_restart_do_not_change_a_bit(
     method: str, cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
 ) -> None:

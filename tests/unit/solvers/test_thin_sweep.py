@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from scenario import body, build, displacement, material, scene
 
 from femdeform.fem.thin_constraints import enclosed_volume
-from femdeform.fem.thin_kernels import BENDING
+from femdeform.fem.thin_kernels import BENDING, BOW, DISTANCE, FLEX_X, FLEX_Y, FLEX_Z, TETHER
 from femdeform.jit import set_threads
 from femdeform.run.setup import Simulation
 from solvers.position_based.constraint_sweeps import ConstraintSweep
 
 Array = NDArray[np.float64]
+# Nodes of each kind of constraint.
+COUNTS = np.zeros(7, dtype=np.int64)
+COUNTS[[DISTANCE, TETHER, BENDING, FLEX_X, FLEX_Y, FLEX_Z, BOW]] = 2, 2, 4, 3, 3, 3, 3
 
 
 def rope(method: str = "xpbd", scale: float = 1.0, density: float = 1000.0, **more: Any) -> Simulation:
@@ -74,6 +77,53 @@ def test_the_stretch_of_a_rope_does_not_depend_on_the_number_of_sweeps() -> None
     stiff = rope("pbd", iterations=300)
     advance(stiff, 120)
     assert -displacement(stiff)[:, 1].min() < 0.05 * found[0]
+
+
+def wire(stiffness: float | None, scale: float = 1.0, heavy: float = 1.0, cells: int = 8, **more: Any) -> Simulation:
+    """A wire of 1 m and 0.1 kg that is clamped level at one end: two nodes are held."""
+    s = scale
+    mesh = {"recipe": "rod", "start": [-s / cells, 0.0, 0.0], "end": [s, 0.0, 0.0], "cells": cells + 1}
+    stuff = material("fixed_corotated", E=2e6 * heavy * s * s, density=1000.0 * heavy)
+    bending = {} if stiffness is None else {"bending_stiffness": stiffness * heavy * s**6}
+    return build(
+        scene(
+            {"w": body(mesh, stuff, kind="rod", cross_section=1e-4 * s * s, constraints=bending)},
+            {"kind": "fixed", "on": {"box": [[-s] * 3, [1e-6 * s] * 3]}},
+            gravity=[0.0, -9.81 * s, 0.0],
+            solver={"method": "xpbd", "iterations": 50, **more},
+        )
+    )
+
+
+def droop(simulation: Simulation) -> float:
+    """Of the tip at rest; what is left of the swinging is taken away again and again."""
+    for _ in range(8):
+        advance(simulation, 40)
+        simulation.state.v[:] = 0.0
+    advance(simulation, 60)
+    return -float(displacement(simulation)[:, 1].min())
+
+
+def test_a_wire_droops_as_a_beam_does() -> None:
+    """q L^4 / (8 B), the clamp being half an edge before the last node held; the same with twice the sweeps."""
+    weight = 0.1 * 9.81
+    for stiffness in (2.0, 4.0):
+        found = [droop(wire(stiffness, cells=5, iterations=n)) for n in (100, 200)]
+        length = 1.0 + 0.5 / 5
+        expected = weight * length**4 / (8.0 * stiffness)
+        assert found[0] == pytest.approx(expected, rel=0.03)
+        assert found[1] == pytest.approx(found[0], rel=1e-7)
+    assert droop(wire(None, cells=5, iterations=100)) > 0.9
+
+
+@pytest.mark.parametrize("method", ["xpbd", "pbd"])
+def test_the_path_of_a_wire_has_no_scale(method: str) -> None:
+    base = advance(wire(0.5, method=method), 5)
+    assert np.abs(base[:, 1]).max() > 1e-3 * (method == "xpbd")
+    for s in (2.0**5, 2.0**-5):
+        np.testing.assert_allclose(advance(wire(0.5, s, method=method), 5) / s, base, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(advance(wire(0.5, heavy=s, method=method), 5), base, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(advance(wire(0.5, 1000.0, method=method), 5) / 1000.0, base, rtol=0.0, atol=1e-11)
 
 
 @pytest.mark.parametrize("method", ["xpbd", "pbd"])
@@ -146,10 +196,14 @@ def test_a_closed_membrane_is_inflated() -> None:
 
 
 @pytest.mark.parametrize("method", ["xpbd", "pbd"])
-def test_any_number_of_threads_gives_the_same(method: str) -> None:
+@pytest.mark.parametrize("kind", ["cloth", "wire"])
+def test_any_number_of_threads_gives_the_same(method: str, kind: str) -> None:
     found = []
     for threads in (1, 2):
-        simulation = cloth({"bending": 1.0, "tether": {"to": "back", "compliance": 1e-5}}, method)
+        if kind == "cloth":
+            simulation = cloth({"bending": 1.0, "tether": {"to": "back", "compliance": 1e-5}}, method)
+        else:
+            simulation = wire(0.5, cells=1500, method=method)
         set_threads(threads)
         found.append(advance(simulation, 3))
     set_threads(1)
@@ -162,10 +216,26 @@ def test_constraints_of_a_color_move_no_node_in_common() -> None:
     assert thin._cuts[-1] == thin._kinds.size
     moves = thin._free.any(axis=1)
     for first, last in zip(thin._cuts[:-1], thin._cuts[1:], strict=True):
-        counts = np.where(thin._kinds[first:last] == BENDING, 4, 2)
+        counts = COUNTS[thin._kinds[first:last]]
         nodes = thin._nodes[first:last][np.arange(4) < counts[:, None]]
         nodes = nodes[moves[nodes]]
         assert np.unique(nodes).size == nodes.size
+
+
+def test_components_of_a_bend_are_visited_at_once() -> None:
+    """They have a colour in common and move nothing in common; of the rest, no two of a colour share a node."""
+    (thin,) = ConstraintSweep(wire(0.5).problem)._thin
+    moves = thin._free.any(axis=1)
+    found = 0
+    for first, last in zip(thin._cuts[:-1], thin._cuts[1:], strict=True):
+        kinds, nodes = thin._kinds[first:last], thin._nodes[first:last]
+        dofs = []
+        for kind, row in zip(kinds, nodes, strict=True):
+            axes = [int(kind) - FLEX_X] if kind in (FLEX_X, FLEX_Y, FLEX_Z) else [0, 1, 2]
+            dofs += [(int(i), a) for i in row[: COUNTS[kind]] if moves[i] for a in axes]
+        assert len(set(dofs)) == len(dofs)
+        found += np.count_nonzero(kinds == FLEX_Z)
+    assert found == 8
 
 
 def test_both_residuals_add_up() -> None:
