@@ -147,7 +147,8 @@ def _cut_off(ax: Any) -> None:
     curves = [np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.lines]
     begins = [curve[np.isfinite(curve)][0] for curve in curves if np.isfinite(curve).any()]
     if begins and max(np.nanmax(curve, initial=0.0) for curve in curves) > _ABOVE * max(begins):
-        ax.set_ylim(top=_ABOVE * max(begins))
+        lowest = min(np.nanmin(curve, initial=np.inf) for curve in curves)
+        ax.set_ylim(0.3 * lowest, _ABOVE * max(begins))
 
 
 def _limit(ax: Any, reference: FloatArray) -> None:

@@ -18,7 +18,14 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes" / "xpbd"
 STUDIES = SCENES.parent / "studies"
 NAMES = sorted({path.stem for path in SCENES.glob("*.yaml")} - {"muscle-box"})
 # Scenes of a few seconds.
-QUICK = {"rope", "hanging-cloth", "balloon"}
+QUICK = {
+    "rope",
+    "hanging-cloth",
+    "balloon",
+    "residual-block",
+    "stretched-squeezed-block",
+    "squeezed-neo-hookean-block",
+}
 
 
 @pytest.mark.parametrize("name", NAMES)
