@@ -189,7 +189,8 @@ class ConstraintStep:
         if self.iteration > 0:
             self.least = min(self.least, self.growth)
         if self.growth > max(self.first, self.last, _RISE * self.least):
-            return f"diverged: the residual has risen again to {ratio(self.growth, self.least):.3g} times the least it was"
+            times = ratio(self.growth, self.least)
+            return f"diverged: the residual has risen again to {times:.3g} times the least it was"
         return ""
 
     def _report(self) -> None:

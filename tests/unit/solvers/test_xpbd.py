@@ -426,7 +426,7 @@ def test_divergence_is_reported_and_stops() -> None:
 
 
 def test_a_residual_that_falls_and_rises_again_is_divergence() -> None:
-    """kappa = 16, beyond what blended sweeps bear: slow enough to end a fixed number of sweeps below any wild growth."""
+    """kappa = 16, more than blended sweeps bear, and slow enough to end all the sweeps below any wild growth."""
     result, rows = take(bar("fixed_corotated", 1e5, method="b_pxpbd", zeta=0.992, iterations=400, check_every=5))
     norms = [row["residual_norm"] for row in rows]
     assert not result.accepted
