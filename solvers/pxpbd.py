@@ -14,7 +14,7 @@ from solvers.xpbd import CellSolver
 def _stopping(options: BPXPBDSolver | FPPXPBDSolver) -> Stopping:
     fixed = options.iterations is not None
     sweeps = options.max_iterations if options.iterations is None else options.iterations
-    return Stopping(sweeps, None if fixed else options.tolerance, options.check_every, fixed)
+    return Stopping(sweeps, None if fixed else options.tolerance, options.check_every, fixed, converges=True)
 
 
 class BlendedPXPBD(CellSolver):

@@ -19,6 +19,8 @@ _DASHES = ("-", "--", "-.", ":")
 _MARKS = "osD^vPX*"
 _FAR = 100.0
 _MARKED = 60  # points up to which each is marked
+# How far above the largest first value of all curves an axis of iterations goes: past it a curve has diverged.
+_ABOVE = 1e3
 _REFERENCE_STYLE: dict[str, Any] = {"color": "#222222", "linestyle": (0, (1, 2)), "linewidth": 1.8, "zorder": 5}
 
 
@@ -126,6 +128,7 @@ def _draw_iterations(
         y = positive(np.array([value(row) for row in rows], dtype=np.float64))
         ax.plot(x, y, label=label, **_style(number, len(rows)))
     _set_log(ax)
+    _cut_off(ax)
     if against == "iteration":
         ax.xaxis.get_major_locator().set_params(integer=True)
     which = "" if comparison.facts["steps"] == 1 else " of the first step"
@@ -137,6 +140,15 @@ def _draw_steps(ax: Any, comparison: Comparison, column: str) -> None:
     for number, label in enumerate(comparison.labels):
         x, y = _columns(comparison.of(label), "time", column)
         ax.plot(x, y, label=label, **_style(number, len(x)))
+
+
+def _cut_off(ax: Any) -> None:
+    """Leave out of the axis what has grown so far that the other curves would be one line."""
+    curves = [np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.lines]
+    begins = [curve[np.isfinite(curve)][0] for curve in curves if np.isfinite(curve).any()]
+    if begins and max(np.nanmax(curve, initial=0.0) for curve in curves) > _ABOVE * max(begins):
+        lowest = min(np.nanmin(curve, initial=np.inf) for curve in curves)
+        ax.set_ylim(0.3 * lowest, _ABOVE * max(begins))
 
 
 def _limit(ax: Any, reference: FloatArray) -> None:

@@ -17,6 +17,9 @@ from solvers.position_based.cell_sweep import CellSweep
 # positions are this many times the size of the bodies away from where they began.
 _GROWTH = 1e3
 _FAR = 1e3
+# So has one that was to converge if its residual, above what it was first (or the forces), is this many times the least
+# that it has been, and still grows.
+_RISE = 10.0
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,15 @@ class Stopping:
         Sweeps between two looks.
     is_fixed_work : bool
         Whether the step is taken as it is after so many sweeps.
+    converges : bool
+        Whether more sweeps are to leave a smaller residual: one that falls and rises again is then a failure.
     """
 
     sweeps: int
     tolerance: float | None
     check_every: int
     is_fixed_work: bool
+    converges: bool = False
 
 
 class ConstraintStep:
@@ -66,7 +72,7 @@ class ConstraintStep:
         self.sweep, self.problem, self.state = sweep, problem, state
         self.observe, self.budget = observe, budget
         self.iteration = 0
-        self.norm = self.growth = self.last = self.first = math.inf
+        self.norm = self.growth = self.last = self.first = self.least = math.inf
         self.size = float(np.ptp(problem.points, axis=0).max())
         self.x = problem.predictor(state)
 
@@ -110,7 +116,7 @@ class ConstraintStep:
             self._report()
 
     def _verdict(self, stopping: Stopping) -> StepResult | None:
-        trouble = self.trouble()
+        trouble = self.trouble() or (self._rise() if stopping.converges else "")
         if trouble:
             return self.result(False, trouble)
         scale = self.problem.force_scale
@@ -176,6 +182,15 @@ class ConstraintStep:
             return f"diverged: nodes have left by more than {_FAR:g} times the size of the bodies"
         if self.growth > _GROWTH * self.first and self.growth > self.last:
             return f"diverged: the residual has grown to {self.growth / self.first:.3g} times the forces it began with"
+        return ""
+
+    def _rise(self) -> str:
+        """How the residual has fallen and risen again, or empty; where sweeps begin it may be anything."""
+        if self.iteration > 0:
+            self.least = min(self.least, self.growth)
+        if self.growth > max(self.first, self.last, _RISE * self.least):
+            times = ratio(self.growth, self.least)
+            return f"diverged: the residual has risen again to {times:.3g} times the least it was"
         return ""
 
     def _report(self) -> None:

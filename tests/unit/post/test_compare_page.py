@@ -17,9 +17,10 @@ from compared import MISBEHAVIOUR, let_misbehave, write_bar
 
 from femdeform import cli
 from femdeform.errors import MissingDependencyError
-from femdeform.post import compare_pictures
+from femdeform.post import compare_pictures, compare_plots
 from femdeform.post.compare_command import compare_command
 from femdeform.post.compare_page import drawn_files
+from femdeform.post.plots import new_figure
 
 OPTION_SETS = ["exact: solver.hessian=exact", "<b>rough</b>: solver.hessian=projected"]
 
@@ -157,6 +158,18 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
         return cli.main(["compare", str(path), *sets, "--iterations", "50", "--steps", str(steps), *out])
 
     return go
+
+
+def test_a_curve_that_diverged_does_not_flatten_the_others() -> None:
+    figure, (ax,) = new_figure(1)
+    ax.plot([0, 1, 2], [1.0, 1e-3, 1e-6])
+    ax.plot([0, 1, 2], [2.0, 1e40, np.nan])
+    compare_plots._set_log(ax)
+    compare_plots._cut_off(ax)
+    bottom, top = ax.get_ylim()
+    assert 2.0 < top < 1e5
+    assert bottom < 1e-6
+    figure.clear()
 
 
 def test_a_diverged_variant_has_its_place(

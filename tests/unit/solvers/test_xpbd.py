@@ -425,6 +425,17 @@ def test_divergence_is_reported_and_stops() -> None:
     assert len(rows) == result.iterations // 2
 
 
+def test_a_residual_that_falls_and_rises_again_is_divergence() -> None:
+    """kappa = 16, more than blended sweeps bear, and slow enough to end all the sweeps below any wild growth."""
+    result, rows = take(bar("fixed_corotated", 1e5, method="b_pxpbd", zeta=0.992, iterations=400, check_every=5))
+    norms = [row["residual_norm"] for row in rows]
+    assert not result.accepted
+    assert "risen again" in result.reason
+    assert norms[-1] > 10.0 * min(norms)
+    assert norms[-1] < 100.0 * norms[0]
+    assert result.iterations < 400
+
+
 def test_fixed_work_is_taken_and_named() -> None:
     result, rows = take(bar("fixed_corotated", 1e5, method="xpbd", iterations=7, check_every=3))
     assert (result.converged, result.accepted, result.iterations) == (False, True, 7)
