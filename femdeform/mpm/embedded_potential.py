@@ -207,7 +207,7 @@ class EmbeddedPotential:
                 )
             self._prescribed[where] = there
             self.free[where] = False
-        found = inside(self.walls, self.points, state.time)
+        found = inside(self.walls, self.points, state.time, self.grid.spacing)
         if self.wall_kind == "sticky":
             for wall, (nodes, _) in zip(self.walls, found, strict=True):
                 # Supports hold where an obstacle is in their way.
