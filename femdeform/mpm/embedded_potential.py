@@ -224,7 +224,7 @@ class EmbeddedPotential:
         return self.lumped_mass / self.dt**2 + self.stencils.to_nodes(self._modulus[:, None])[:, 0]
 
     def _pattern_of(self, s: Stencils) -> _Pattern:
-        """Sparsity of the step, found when it is first asked for; the same object as before where nothing has changed."""
+        """Sparsity of the step, found when first asked for; the same object as before where nothing has changed."""
         old = self._pattern
         if old is not None and not self._is_pattern_old:
             return old
