@@ -282,8 +282,8 @@ class BasedSweep(CellSweep):
     """Sweeps that keep base points: x~ and what the cells do to each node, as they were last visited."""
 
     stride = 8
-    # Stiffness number below which these sweeps converge in some ten to sixty, on meshes and on a grid.
-    quick_below = (3.0, 0.4)
+    # Stiffness number below which these sweeps converge in tens, on meshes and on a grid.
+    quick_below = (1.0, 0.4)
 
     def __init__(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> None:
         super().__init__(problem, previous=previous)
@@ -316,6 +316,9 @@ class BasedSweep(CellSweep):
             if kappa > worst * limit:
                 worst = kappa / limit
                 longest = math.sqrt(self.h2 / worst)
+                # Two digits, rounded down: the number must be below the limit.
+                unit = 10.0 ** (math.floor(math.log10(longest)) - 1)
+                longest = math.floor(longest / unit) * unit
                 text = f"stiffness number {kappa:.3g}, quick below {limit:g}: steps of at most {longest:.2g} s"
         return text
 
