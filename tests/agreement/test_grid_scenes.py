@@ -15,6 +15,7 @@ import pytest
 import scenario
 
 from femdeform.cli import main
+from femdeform.errors import InputError
 from femdeform.run.setup import Simulation
 from femdeform.run.time_loop import take_step
 from femdeform.step_problem import StepResult
@@ -94,6 +95,25 @@ def test_a_step_too_stiff_for_sweeps_fails_and_says_how_short_it_should_be(metho
     assert take_step(simulation.problem, simulation.solver, simulation.state, shorter).converged
     _, soft = stiff({**options, "max_iterations": 2, "tolerance": 1e-14}, 1e3)
     assert soft.reason == "no convergence in 2 sweeps"
+
+
+@pytest.mark.parametrize("method", ["projected_newton", "fp_pxpbd"])
+def test_muscles_in_a_grid_go_with_newton_only(method: str) -> None:
+    fibres = {"kind": "constant", "direction": [1.0, 0.0, 0.0]}
+    muscle = {"fibres": fibres, "max_isometric_stress": 5e3, "activation": 0.5}
+    mesh = scenario.block([0.6, 0.2, 0.2], [6, 2, 2])
+    stuff = scenario.material("fixed_corotated", E=1e3, density=10.0)
+    data = scenario.scene(
+        {"b": scenario.body(mesh, stuff, muscle=muscle)}, grid={"cell_size": CELL}, solver={"method": method}
+    )
+    if method == "fp_pxpbd":
+        with pytest.raises(InputError, match="muscles in a grid go with projected_newton only"):
+            scenario.build(data)
+        return
+    simulation = scenario.build(data)
+    scenario.advance(simulation, 5)
+    along = simulation.state.x[:, 0]
+    assert float(np.ptp(along)) < 0.59
 
 
 @pytest.mark.slow
