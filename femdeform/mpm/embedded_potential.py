@@ -123,6 +123,7 @@ class EmbeddedPotential:
         self._mass = self.discretization.lumped_mass
         self._modulus = self._moduli()
         self._pattern: _Pattern | None = None
+        self._is_pattern_old = True
         self._rows: FloatArray | None = None
         self._half, self._values = np.empty((0, self.dim**2)), np.empty(0)
         self._everything = np.ones_like(mesh.free)
@@ -184,7 +185,7 @@ class EmbeddedPotential:
         self._y_hat = self.points + dt * self._velocity
         self._load = s.to_nodes(self.mesh.load)
         self._hold(state, dt)
-        self._pattern_of(s)
+        self._is_pattern_old, self._rows = True, None
         inertia = self.partition.norm(self.lumped_mass[:, None] * (self.points - self._y_hat)) / dt**2
         internal = self.partition.norm(s.to_nodes(self.mesh.internal_forces(state.x)))
         self.force_scale = inertia + internal + self.partition.norm(self._load)
@@ -206,7 +207,7 @@ class EmbeddedPotential:
                 )
             self._prescribed[where] = there
             self.free[where] = False
-        found = inside(self.walls, self.points, state.time)
+        found = inside(self.walls, self.points, state.time, self.grid.spacing)
         if self.wall_kind == "sticky":
             for wall, (nodes, _) in zip(self.walls, found, strict=True):
                 # Supports hold where an obstacle is in their way.
@@ -215,17 +216,23 @@ class EmbeddedPotential:
                 self.free[loose] = False
             self.rows = None
             return
-        stiffness = self.lumped_mass / dt**2 + self.stencils.to_nodes(self._modulus[:, None])[:, 0]
-        rows = wall_rows(self.walls, found, self.points, stiffness, dt, self.wall_kind == "slip")
+        rows = wall_rows(self.walls, found, self.points, self._node_stiffness(), dt, self.wall_kind == "slip")
         self.rows = rows if rows.nodes.size else None
 
-    def _pattern_of(self, s: Stencils) -> None:
-        """Sparsity of the step; the same object as before where nothing has changed."""
+    def _node_stiffness(self) -> FloatArray:
+        """Stiffness of inertia and elasticity of each grid node [N/m]."""
+        return self.lumped_mass / self.dt**2 + self.stencils.to_nodes(self._modulus[:, None])[:, 0]
+
+    def _pattern_of(self, s: Stencils) -> _Pattern:
+        """Sparsity of the step, found when first asked for; the same object as before where nothing has changed."""
+        old = self._pattern
+        if old is not None and not self._is_pattern_old:
+            return old
+        self._is_pattern_old = False
         mesh = self.mesh.pattern
         W = s.pattern()
         half = product_pattern(mesh.columns, mesh.row_offsets, W)
         whole = product_pattern(s.points, s.offsets, half)
-        old = self._pattern
         if (
             old is not None
             and np.array_equal(old.row_offsets, whole.indptr)
@@ -233,13 +240,13 @@ class EmbeddedPotential:
             and np.array_equal(old.half_offsets, half.indptr)
             and np.array_equal(old.half_columns, half.indices)
         ):
-            return
+            return old
         dofs = expand_to_dofs(whole.indptr, whole.indices, self.dim)
         self._pattern = _Pattern(half.indptr, half.indices, whole.indptr, whole.indices, *dofs)
-        self._rows = None
         if self._half.shape[0] < half.indices.size:
             self._half = np.empty((half.indices.size, self.dim**2))
         self._values = np.empty(self._pattern.dof_columns.size)
+        return self._pattern
 
     def solver_state(self, state: State) -> State:
         """See `StepProblem`: the grid as the step begun has laid it, with its velocities."""
@@ -320,8 +327,7 @@ class EmbeddedPotential:
 
     def hessian(self, x: FloatArray, project: bool, free: np.ndarray | None = None) -> SparseHessian:
         """Hessian of Phi, W^T K W and blocks of single nodes; see `IncrementalPotential.hessian`."""
-        s, pattern = self.stencils, self._pattern
-        assert pattern is not None
+        s, pattern = self.stencils, self._pattern_of(self.stencils)
         dim = self.dim
         K = self.mesh.hessian(s.to_points(x), project, free=self._everything)
         diagonal = np.zeros((s.n_nodes, dim * dim))
@@ -419,7 +425,11 @@ class EmbeddedPotential:
 
     def settle_force_scale(self, x: FloatArray) -> None:
         """Take the forces at the first iterate as R0 if the last state has none but rounding."""
-        if self.force_scale <= _REST * self.roundoff_norm(x):
+        rounding = self.roundoff_norm(x)
+        if rounding == 0.0:
+            # Sweeps never ask for a Hessian.
+            rounding = float(np.sqrt(roundoff(np.repeat(self._node_stiffness(), self.dim), x)))
+        if self.force_scale <= _REST * rounding:
             self.force_scale = self.partition.norm(self.full_gradient(x))
 
     def roundoff_norm(self, x: FloatArray) -> float:

@@ -1,6 +1,7 @@
-"""Rigid obstacles on a grid: conditions on the velocities of the nodes that lie inside them.
+"""Rigid obstacles on a grid: conditions on the velocities of the nodes that lie inside them, or less than half a cell
+outside.
 
-A node inside an obstacle sticks (its position at the end of the step is prescribed), slips, or separates. The latter
+Such a node sticks (its position at the end of the step is prescribed), slips, or separates. The latter
 two are energies of the motion across the wall, ``k/2 g^2`` with the gap ``g = n . (y - y_n - h v_wall)``, of either
 sign (slip) or where it is negative (separating). With a stiffness k that is a large multiple of the node's own, what
 is left of the forbidden motion is that part of the motion without the wall.
@@ -16,6 +17,10 @@ import numpy as np
 from femdeform.contact.obstacles import Shape
 from femdeform.types import BoolArray, FloatArray, IntArray
 
+# Nodes so many cells outside an obstacle still belong to it. Mesh nodes near a wall are borne by wall nodes and by free
+# ones, and sink until the weights of the latter are small: by up to 0.7 of a cell were it zero, 0.3 of a cell to either
+# side as it is. A stiffer wall changes nothing.
+_MARGIN = 0.5
 # Stiffness of a wall over that of inertia and elasticity at a node: the part of a motion into it that is left is the
 # inverse. More of it would show as rounding in the residual.
 STIFFNESS = 1e4
@@ -119,12 +124,14 @@ class WallRows:
         return out
 
 
-def inside(walls: Sequence[Wall], positions: FloatArray, time: float) -> list[tuple[IntArray, FloatArray]]:
-    """Nodes (n,) inside each wall at a time and the normals (n, dim) there."""
+def inside(
+    walls: Sequence[Wall], positions: FloatArray, time: float, spacing: float
+) -> list[tuple[IntArray, FloatArray]]:
+    """Nodes (n,) of each wall at a time and the normals (n, dim) there; `spacing` is that of the nodes [m]."""
     found = []
     for wall in walls:
         distance, normals = wall.shape.distance(positions - wall.velocity * time)
-        nodes = np.flatnonzero(distance <= 0.0)
+        nodes = np.flatnonzero(distance <= _MARGIN * spacing)
         found.append((nodes, np.array(normals[nodes])))
     return found
 

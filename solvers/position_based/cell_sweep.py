@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from femdeform.errors import InputError
@@ -148,6 +150,10 @@ class CellSweep:
         """Write positions to ``out`` (n_nodes, dim)."""
         out[self._layout.numbering.order] = self._fields()[:, : self.dim]
 
+    def advice(self) -> str:
+        """What to do where sweeps do not get on, in words; empty if their stiffness number is not to blame."""
+        return ""
+
     def sweep(self, reverse: bool = False) -> None:
         """Visit every cell once, colours in order or in reverse, weak constraints, then the nodes at obstacles."""
         if self._links is not None and self.links_first:
@@ -279,6 +285,8 @@ class BasedSweep(CellSweep):
     """Sweeps that keep base points: x~ and what the cells do to each node, as they were last visited."""
 
     stride = 8
+    # Stiffness number below which these sweeps converge in tens, on meshes and on a grid.
+    quick_below = (1.0, 0.4)
 
     def __init__(self, problem: LocalStepProblem, previous: CellSweep | None = None) -> None:
         super().__init__(problem, previous=previous)
@@ -301,6 +309,21 @@ class BasedSweep(CellSweep):
     def _push(self, k: int) -> FloatArray:
         """``w_i^-1`` times what each cell of a batch adds to the base points, without gradients (n_cells, d d)."""
         raise NotImplementedError
+
+    def advice(self) -> str:
+        """See `CellSweep`."""
+        text, worst = "", 1.0
+        for batch in self.batches:
+            kappa = self.h2 * float(batch.unit_kappa.max(initial=0.0))
+            limit = self.quick_below[int(bool(np.any(batch.crowds > 0.0)))]
+            if kappa > worst * limit:
+                worst = kappa / limit
+                longest = math.sqrt(self.h2 / worst)
+                # Two digits, rounded down: the number must be below the limit.
+                unit = 10.0 ** (math.floor(math.log10(longest)) - 1)
+                longest = math.floor(longest / unit) * unit
+                text = f"stiffness number {kappa:.3g}, quick below {limit:g}: steps of at most {longest:.2g} s"
+        return text
 
     def _add_further(self, k: int, total: FloatArray) -> None:
         """Add what else the cells of a batch do to the base points, over w_i (n_nodes, dim) by place."""

@@ -118,7 +118,7 @@ class ConstraintStep:
     def _verdict(self, stopping: Stopping) -> StepResult | None:
         trouble = self.trouble() or (self._rise() if stopping.converges else "")
         if trouble:
-            return self.result(False, trouble)
+            return self.result(False, self._advised(trouble))
         scale = self.problem.force_scale
         below = stopping.tolerance is not None and self.norm <= stopping.tolerance * scale
         if self.iteration < stopping.sweeps:
@@ -126,7 +126,11 @@ class ConstraintStep:
             return self.result(True, "residual below tolerance") if early else None
         if stopping.is_fixed_work:
             return self.result(below, f"{self.iteration} sweeps, as asked for", True)
-        return self.result(below, f"no convergence in {self.iteration} sweeps")
+        return self.result(below, self._advised(f"no convergence in {self.iteration} sweeps"))
+
+    def _advised(self, reason: str) -> str:
+        advice = self.sweep.advice()
+        return f"{reason}; {advice}" if advice else reason
 
     # --------------------------------------------------------------------------------------------- parts
 

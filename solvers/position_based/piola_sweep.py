@@ -28,6 +28,7 @@ class PiolaSweep(BasedSweep):
     """
 
     blend = 0.0
+    quick_below = (2.0, 1.0)
     link_mode = link_kernels.SOLVED
     knows = frozenset[Feature]({"links", "fibres"})
 
