@@ -10,6 +10,7 @@ import numpy as np
 from femdeform.errors import InputError
 from femdeform.mpm import block_kernels as kernels
 from femdeform.mpm.block_kernels import REACH, SIDE
+from femdeform.mpm.explicit_laws import Liquid
 from femdeform.mpm.particles import Particles
 from femdeform.types import BoolArray, FloatArray, IntArray
 
@@ -19,7 +20,7 @@ _BROKEN = 1.0 / 16.0
 _FLOOR = 1e-14
 
 
-class PointsOutside(InputError):
+class PointsOutsideError(InputError):
     """Points have left the domain of the grid, or are no longer numbers."""
 
 
@@ -61,17 +62,29 @@ class PointSet:
     starts: IntArray
 
     @classmethod
-    def of(cls, particles: Particles, numbers: IntArray, law: Any, is_liquid: bool, dtype: Any) -> PointSet:
+    def of(cls, particles: Particles, numbers: IntArray, law: Any, dtype: Any) -> PointSet:
         """The given rows of particles, copied."""
-        state = particles.J if is_liquid else particles.F
-        arrays = [
-            np.ascontiguousarray(a[numbers], dtype=dtype)
-            for a in (particles.x, particles.v, particles.affine, particles.mass, particles.volume, state)
-        ]
+        state = particles.J if isinstance(law, Liquid) else particles.F
         # Parameters of the type of the points: kernels compute in it.
         law = type(law)(*(np.dtype(dtype).type(value) for value in law))
-        order = np.arange(numbers.size, dtype=np.int32)
-        return cls(law, *arrays, numbers.copy(), order, order[:0], np.zeros(1, np.int64), np.zeros(1, np.int64))
+
+        def own(values: FloatArray) -> FloatArray:
+            return np.ascontiguousarray(values[numbers], dtype=dtype)
+
+        return cls(
+            law=law,
+            x=own(particles.x),
+            v=own(particles.v),
+            affine=own(particles.affine),
+            mass=own(particles.mass),
+            volume=own(particles.volume),
+            state=own(state),
+            numbers=numbers.copy(),
+            order=np.arange(numbers.size, dtype=np.int32),
+            blocks=np.empty(0, np.int32),
+            first=np.zeros(1, np.int64),
+            starts=np.zeros(1, np.int64),
+        )
 
     @property
     def n(self) -> int:
@@ -89,7 +102,7 @@ class PointSet:
 
         Raises
         ------
-        PointsOutside
+        PointsOutsideError
         """
         of_point = grid.blocks_of(self.x)
         touched = np.empty(self.n, np.int32)
@@ -166,7 +179,7 @@ class BlockGrid:
 
         Raises
         ------
-        PointsOutside
+        PointsOutsideError
         """
         out = np.empty(len(x), np.int32)
         is_bad = np.zeros((len(x) + kernels.CHUNK - 1) // kernels.CHUNK, np.uint8)
@@ -174,7 +187,7 @@ class BlockGrid:
         if is_bad.any():
             outside = ~((x >= self.low) & (x <= self.high)).all(axis=1)
             row = int(np.flatnonzero(outside)[0])
-            raise PointsOutside(
+            raise PointsOutsideError(
                 f"{int(outside.sum())} material points are outside of the domain, or not numbers; the first is at "
                 f"{x[row].tolist()} m: walls have to hold them, or the domain has to be larger"
             )

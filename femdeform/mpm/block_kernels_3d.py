@@ -48,6 +48,7 @@ def scatter_3d(
     gradient : (n, 3, 3)
         Gradients of the velocity, for viscosity; of no length where there is none [1/s].
     law : NamedTuple
+        A law of `femdeform.materials`, or `Liquid`.
     carried : float
         1: mass and momentum are brought; 0: the impulse alone.
     dt : float

@@ -1,9 +1,9 @@
 """The explicit step of material points: transfers, forces and walls on a grid of blocks, symplectic Euler.
 
-One step: points bring mass, momentum and the impulse of their stress to the nodes, ``m_i v_i = sum N m_p (v_p + A_p (x_i
-- x_p)) - dt sum V0 P F^T grad N + dt m_i g``; walls act on the nodes; the points take velocities, deformations ``F <- (I
-+ dt sum v_i grad N^T) F`` and positions ``x += dt sum N v_i`` from them. With FLIP, or viscosity, which needs the
-gradient of the velocity before the forces, there are two passes to the nodes.
+One step: points bring mass, momentum and the impulse of their stress to the nodes,
+``m_i v_i = sum N m_p (v_p + A_p (x_i - x_p)) - dt sum V0 P F^T grad N + dt m_i g``; walls act on the nodes; the points
+take velocities, deformations ``F <- (I + dt sum v_i grad N^T) F`` and positions ``x += dt sum N v_i`` from them. With
+FLIP, or viscosity, which needs the gradient of the velocity before the forces, there are two passes to the nodes.
 
 References
 ----------
@@ -30,7 +30,8 @@ from femdeform.errors import InputError
 from femdeform.mpm.block_grid import BlockGrid, PointSet
 from femdeform.mpm.block_kernels_2d import advance_2d, look_2d, scatter_2d
 from femdeform.mpm.block_kernels_3d import advance_3d, look_3d, scatter_3d
-from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.mpm.explicit_laws import is_viscous, material_sets
+from femdeform.mpm.particles import Particles
 from femdeform.mpm.rigid_walls import RigidWall, constrain_blocks
 from femdeform.types import FloatArray
 
@@ -107,8 +108,6 @@ class ExplicitPoints:
         self.gravity = np.zeros(self.dim) if gravity is None else np.array(gravity, dtype=float)
         self.walls = list(walls)
         self.time, self.n_steps, self.fastest_node, self.n_bounded = 0.0, 0, 0.0, 0
-        self._largest_mass = float(particles.mass.max(initial=0.0))
-        self._template = particles
         self._laws = dict(laws)
         self.sets: list[PointSet] = []
         self.replace(particles)
@@ -121,16 +120,10 @@ class ExplicitPoints:
         InputError
             If a body has no material for a phase of its points.
         """
+        materials = material_sets(particles, self._laws)
         self._template = particles
         self._largest_mass = float(particles.mass.max(initial=0.0))
-        self.sets = []
-        kinds = np.unique(np.column_stack([particles.body, particles.phase]), axis=0)
-        for body, phase in kinds.tolist():
-            if (body, phase) not in self._laws:
-                raise InputError(f"body {body} has no material for {'liquid' if phase == LIQUID else 'solid'} points")
-            numbers = np.flatnonzero((particles.body == body) & (particles.phase == phase))
-            law = self._laws[body, phase]
-            self.sets.append(PointSet.of(particles, numbers, law, phase == LIQUID, self.grid.dtype))
+        self.sets = [PointSet.of(particles, rows, law, self.grid.dtype) for rows, law in materials]
         if self.transfer != "apic":
             for points in self.sets:
                 points.affine[:] = 0.0
@@ -169,7 +162,7 @@ class ExplicitPoints:
 
         Raises
         ------
-        PointsOutside
+        PointsOutsideError
             If points are outside of the domain, or no longer numbers; nothing has changed then.
         """
         self.sort()
@@ -187,7 +180,7 @@ class ExplicitPoints:
     def to_grid(self, dt: float) -> None:
         """Bring mass, momentum, forces and gravity to the nodes."""
         grid, push = self.grid, dt * self.gravity
-        looks = self._flip != 0.0 or any(_is_viscous(points) for points in self.sets)
+        looks = self._flip != 0.0 or any(is_viscous(points.law) for points in self.sets)
         none = np.empty((0, self.dim, self.dim), grid.dtype)
         if not looks:
             for number, points in enumerate(self.sets):
@@ -199,7 +192,7 @@ class ExplicitPoints:
         grid.collect(np.zeros(self.dim), False, self._largest_mass)
         self._excess = [np.empty_like(points.v if self._flip != 0.0 else points.v[:0]) for points in self.sets]
         for number, points in enumerate(self.sets):
-            gradient = np.empty_like(points.affine) if _is_viscous(points) else none
+            gradient = np.empty_like(points.affine) if is_viscous(points.law) else none
             _LOOK[self.dim](
                 points.x,
                 points.v,
@@ -262,7 +255,3 @@ class ExplicitPoints:
                 n_bounded,
             )
             self.n_bounded += int(n_bounded.sum())
-
-
-def _is_viscous(points: PointSet) -> bool:
-    return points.state.ndim == 1 and points.law.viscosity > 0.0

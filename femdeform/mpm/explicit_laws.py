@@ -6,10 +6,19 @@ Solids are the laws of `femdeform.materials`, with ``F`` (n, dim, dim) as their 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from femdeform.errors import InputError
 from femdeform.jit import extending, njit, types
 from femdeform.materials.dispatch import pk1
+from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.types import IntArray
+
+# Material of each body and phase that occurs, by (body, phase): a law of `femdeform.materials`, or `Liquid`.
+Laws = Mapping[tuple[int, int], Any]
 
 # Volume ratios of liquid points are kept between these; reaching them is reported.
 LOWEST_J, HIGHEST_J = 0.1, 10.0
@@ -28,6 +37,31 @@ class Liquid(NamedTuple):
 
     bulk_modulus: float
     viscosity: float
+
+
+def is_viscous(law: Any) -> bool:
+    """Whether the stress depends on the gradient of the velocity."""
+    return isinstance(law, Liquid) and bool(law.viscosity > 0.0)
+
+
+def material_sets(particles: Particles, laws: Laws) -> list[tuple[IntArray, Any]]:
+    """Rows of the points of each body and phase, and their material.
+
+    Raises
+    ------
+    InputError
+        If a body has no material for a phase of its points, or one that is not of that phase.
+    """
+    out = []
+    for body, phase in np.unique(np.column_stack([particles.body, particles.phase]), axis=0).tolist():
+        name = "liquid" if phase == LIQUID else "solid"
+        if (body, phase) not in laws:
+            raise InputError(f"body {body} has no material for {name} points")
+        law = laws[body, phase]
+        if isinstance(law, Liquid) != (phase == LIQUID):
+            raise InputError(f"body {body}: {type(law).__name__} is no material of {name} points")
+        out.append((np.flatnonzero((particles.body == body) & (particles.phase == phase)), law))
+    return out
 
 
 # ---------------------------------------------------------------------------------------- 3D
@@ -86,6 +120,7 @@ def stress_3d(state: Any, p: Any, gradient: Any, law: Any) -> Any:
     gradient : (n, 3, 3) array
         Gradients of the velocity before the step [1/s]; read of viscous liquids only.
     law : NamedTuple
+        A law of `femdeform.materials`, or `Liquid`.
     """
     return (_liquid_stress_3d if isinstance(law, Liquid) else _solid_stress_3d)(state, p, gradient, law)
 

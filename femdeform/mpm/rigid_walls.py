@@ -65,6 +65,7 @@ def constrain(walls: Sequence[RigidWall], positions: FloatArray, velocity: Float
     Parameters
     ----------
     walls : sequence of RigidWall
+        In any number.
     positions, velocity : (n, dim) array
         Of the nodes [m], [m/s]; not changed.
     time : float
