@@ -90,9 +90,8 @@ def explicit_step(
     is_affine = transfer in ("apic", "group_apic")
     affine = particles.affine if is_affine else np.zeros_like(particles.affine)
     mass, before = groups.to_grid(particles.v, affine, transfer == "group_apic")
-    force = groups.forces(
-        stresses(particles, laws, groups.gradients(before) if any(map(is_viscous, laws.values())) else None)
-    )
+    rates = groups.gradients(before) if any(map(is_viscous, laws.values())) else None
+    force = groups.forces(stresses(particles, laws, rates))
     if forces is not None:
         force = force + forces(groups)
     velocity = before + dt * force / mass[:, None]

@@ -8,8 +8,8 @@ from femdeform.contact.closest import closest_points
 from femdeform.contact.inside import InsideTest
 from femdeform.types import BoolArray, FloatArray, IntArray
 
-# Halvings of the interval that holds the parameter of the closest point: to rounding.
-_HALVINGS = 80
+# Halvings of the interval that holds the parameter of the closest point: to rounding, however small it is.
+_HALVINGS = 100
 # Coordinates smaller than this part of their semi-axis are taken as this: at zero the closest point is not unique.
 _OFF_AXIS = 1e-13
 # Closer than this part of its size, the normal at a surface is that of its facet.
@@ -39,19 +39,21 @@ class Ellipsoid:
     def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Signed distance and normal.
 
-        The closest point is ``a_c^2 y_c / (t + a_c^2)`` with the root t of ``sum (a_c y_c / (t + a_c^2))^2 = 1``.
+        The closest point is ``a_c^2 y_c / (t + a_c^2)`` with the root t of ``sum (a_c y_c / (t + a_c^2))^2 = 1``. It is
+        found as ``s = t + min a^2 > 0``, in which nothing cancels.
         """
         a = self.semi_axes
         offset = x - self.center
         side = np.where(offset < 0.0, -1.0, 1.0)
         y = np.maximum(np.abs(offset), _OFF_AXIS * a)
-        low = np.max(a * y - a * a, axis=1)
-        high = np.linalg.norm(a * y, axis=1) - a.min() ** 2
+        least = int(np.argmin(a))
+        more = (a - a[least]) * (a + a[least])
+        low, high = a[least] * y[:, least], np.linalg.norm(a * y, axis=1)
         for _ in range(_HALVINGS):
-            t = 0.5 * (low + high)
-            beyond = np.sum((a * y / (t[:, None] + a * a)) ** 2, axis=1) > 1.0
-            low, high = np.where(beyond, t, low), np.where(beyond, high, t)
-        closest = a * a * y / (0.5 * (low + high)[:, None] + a * a)
+            s = 0.5 * (low + high)
+            beyond = np.sum((a * y / (s[:, None] + more)) ** 2, axis=1) > 1.0
+            low, high = np.where(beyond, s, low), np.where(beyond, high, s)
+        closest = a * a * y / (0.5 * (low + high)[:, None] + more)
         normal = closest / (a * a)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         distance = np.einsum("pc,pc->p", y - closest, normal)

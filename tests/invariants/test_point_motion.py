@@ -53,10 +53,10 @@ def test_a_pulsating_drop_that_flies() -> None:
     """The centre of mass moves evenly, whatever happens inside."""
     particles = disc()
     particles.phase[:] = LIQUID
-    particles.v[:] = [0.2, 0.1] + 0.3 * (particles.x - 0.5)
+    particles.v[:] = [0.2, 0.1] + 1.0 * (particles.x - 0.5)
     linear = particles.mass @ particles.v / particles.mass.sum()
     center = particles.mass @ particles.x / particles.mass.sum()
-    explicit = run(particles, Liquid(40.0, 0.0), 1e-3, 1500)
+    explicit = run(particles, Liquid(40.0, 0.0), 2e-3, 400)
     now = explicit.particles()
     assert np.abs(now.J - 1.0).max() > 0.01
     found = now.mass @ now.x / now.mass.sum()
@@ -99,7 +99,7 @@ def test_an_elastic_bar_vibrates_with_its_period() -> None:
     length, height, mu, amplitude = 0.5, 0.125, 50.0, 0.002
     c = np.sqrt(2.0 * mu)
     low = np.array([0.25, 0.4375])
-    particles = sample_particles(Box(low, low + [length, height], False), DX, 3, 1.0)
+    particles = sample_particles(Box(low, low + np.array([length, height]), False), DX, 3, 1.0)
     s = np.pi * (particles.x[:, 0] - 0.5) / length
     mode = np.sin(s)
     particles.v[:, 0] = amplitude * c * mode

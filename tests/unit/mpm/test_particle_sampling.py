@@ -35,7 +35,7 @@ def test_round_bodies(dim: int) -> None:
     assert ball.volume.sum() == pytest.approx(content * 0.3**dim, rel=0.02)
     egg = sample_particles(Ellipsoid(center, axes), DX, 3, 10.0)
     assert np.sum(((egg.x - center) / axes) ** 2, axis=1).max() < 1.0
-    assert egg.volume.sum() == pytest.approx(content * np.prod(axes), rel=0.02)
+    assert egg.volume.sum() == pytest.approx(content * np.prod(axes), rel=0.03)
     # The lattice is that of the grid.
     np.testing.assert_allclose((ball.x * 3 / DX) % 1.0, 0.5, atol=1e-9)
 

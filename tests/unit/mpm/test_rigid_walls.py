@@ -79,8 +79,8 @@ def test_a_corner_of_walls_that_are_not_at_right_angles() -> None:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_liquid_comes_to_rest_in_a_container(dim: int) -> None:
-    """The floor carries it: the pressure at half height is that of the column above."""
+def test_a_container_carries_a_liquid(dim: int) -> None:
+    """It swings about equilibrium: the mean pressure at half height, over five periods, is that of the column above."""
     dx, depth, density, bulk = 0.05, 0.4, 1000.0, 4e5
     up = np.eye(dim)[-1]
     body = Box(np.zeros(dim), np.array([0.2, 0.2, depth][3 - dim :]), False)
@@ -96,15 +96,15 @@ def test_liquid_comes_to_rest_in_a_container(dim: int) -> None:
         np.full(dim, 1.0),
         gravity=-9.81 * up,
         walls=box,
-        transfer="pic",
     )
-    for _ in range(1500):
-        explicit.step(5e-4)
-    now = explicit.particles()
-    middle = np.abs(now.x[:, -1] - 0.5 * depth) < 0.05
-    pressure = (bulk * (1.0 - now.J))[middle].mean()
-    assert pressure == pytest.approx(density * 9.81 * (depth - now.x[middle, -1].mean()), rel=0.1)
-    assert np.abs(now.v).max() < 0.02
+    middle = np.abs(particles.x[:, -1] - 0.5 * depth) < 0.05
+    pressures = []
+    for _ in range(400):
+        explicit.step(1e-3)
+        pressures.append(bulk * (1.0 - explicit.particles().J[middle]).mean())
+    assert np.mean(pressures) == pytest.approx(density * 9.81 * (depth - particles.x[middle, -1].mean()), rel=0.05)
+    now = explicit.particles().x
+    assert np.abs(now - particles.x).max() < 0.5 * dx
 
 
 def test_a_block_slides_down_a_ramp_as_coulomb_has_it() -> None:
@@ -123,8 +123,10 @@ def test_a_block_slides_down_a_ramp_as_coulomb_has_it() -> None:
             np.array([3.0, 1.0]),
             gravity=gravity,
             walls=[RigidWall(FLOOR, "separate", STILL, friction)],
+            # It shall not bounce for long.
+            transfer="pic",
         )
-        n, dt = 2000, 2.5e-4
+        n, dt = 500, 5e-4
         for _ in range(n):
             explicit.step(dt)
         moved[friction] = (explicit.particles().x - particles.x)[:, 0].mean() / (0.5 * (n * dt) ** 2)
