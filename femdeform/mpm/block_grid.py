@@ -98,7 +98,9 @@ class PointSet:
         self.order = np.arange(self.n, dtype=np.int32)
 
     def sort(self, grid: BlockGrid) -> None:
-        """Sort by block, stably; the arrays themselves are moved only when many points are out of place.
+        """Sort by block, and by number in each; the arrays are moved only when many points are out of place.
+
+        So what a step does depends on the points and their numbers, not on the steps before it.
 
         Raises
         ------
@@ -107,9 +109,10 @@ class PointSet:
         of_point = grid.blocks_of(self.x)
         touched = np.empty(self.n, np.int32)
         first = np.empty(self.n + 1, np.int64)
-        n_blocks, n_breaks = kernels.sort_by_block(of_point, grid.counts, touched, first, self.order)
+        n_blocks = kernels.sort_by_block(of_point, grid.counts, touched, first, self.order)
         self.blocks, self.first = touched[:n_blocks], first[: n_blocks + 1]
-        # Steps between blocks break nothing.
+        kernels.order_in_blocks(self.numbers, self.first, self.order)
+        n_breaks = np.count_nonzero(np.diff(self.order) != 1)
         if n_breaks > _BROKEN * self.n:
             self._move()
 

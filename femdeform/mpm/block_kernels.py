@@ -57,7 +57,7 @@ def blocks_of(x: Any, spacing: Any, first: Any, shape: Any, low: Any, high: Any,
 
 
 @njit
-def sort_by_block(numbers: Any, counts: Any, touched: Any, starts: Any, order: Any) -> tuple[int, int]:
+def sort_by_block(numbers: Any, counts: Any, touched: Any, starts: Any, order: Any) -> int:
     """Stable order of points by block.
 
     Parameters
@@ -75,8 +75,8 @@ def sort_by_block(numbers: Any, counts: Any, touched: Any, starts: Any, order: A
 
     Returns
     -------
-    n_blocks, n_breaks : int
-        Blocks with points; places where a point does not follow the one before it in the arrays.
+    int
+        Number of blocks with points.
     """
     n_blocks = 0
     for p in range(numbers.size):
@@ -99,10 +99,24 @@ def sort_by_block(numbers: Any, counts: Any, touched: Any, starts: Any, order: A
         counts[k] += 1
     for b in range(n_blocks):
         counts[touched[b]] = 0
-    n_breaks = 0
-    for t in range(1, numbers.size):
-        n_breaks += order[t] != order[t - 1] + 1
-    return n_blocks, n_breaks
+    return n_blocks
+
+
+@njit(parallel=True)
+def order_in_blocks(numbers: Any, starts: Any, order: Any) -> None:
+    """Sort the points of each block by their numbers: how they lie in memory then has no part in any sum.
+
+    They nearly are in order as they come, so each is inserted among those before it.
+    """
+    for b in prange(starts.size - 1):
+        for t in range(starts[b] + 1, starts[b + 1]):
+            p = order[t]
+            number = numbers[p]
+            k = t
+            while k > starts[b] and numbers[order[k - 1]] > number:
+                order[k] = order[k - 1]
+                k -= 1
+            order[k] = p
 
 
 @njit(parallel=True)

@@ -25,8 +25,8 @@ def findings(results: Results) -> Findings:
     )
     tables = [_main(results), _growth(results), _others(results), _peers(results), _aims(results)]
     tables = [table for table in tables if table.rows or (table.notes and is_wanted(table.title))]
-    cases = {**results.main, **results.growth, **results.others}
-    failures = [f"{key}: {outcome.reason}" for key, outcome in cases.items() if outcome.status == "failed"]
+    cases = [*results.main.items(), *results.growth.items(), *results.others.items()]
+    failures = [f"{key}: {outcome.reason}" for key, outcome in cases if outcome.status == "failed"]
     return Findings(summary, tables, _data(results), failures)
 
 

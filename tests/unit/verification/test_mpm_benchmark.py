@@ -61,10 +61,8 @@ def test_a_peer_without_taichi_is_skipped(tmp_path: Path) -> None:
     blocked.write_text("raise ImportError('not here')\n", encoding="utf-8")
     script = Path(mpm.__file__).parent / "peers" / "taichi_mpm.py"
     copy = tmp_path / "run.py"
-    copy.write_text(
-        f"import sys, runpy; sys.path.insert(0, {str(tmp_path)!r})\nrunpy.run_path({str(script)!r}, run_name='__main__')",
-        encoding="utf-8",
-    )
+    first = f"import sys, runpy; sys.path.insert(0, {str(tmp_path)!r})"
+    copy.write_text(f"{first}\nrunpy.run_path({str(script)!r}, run_name='__main__')", encoding="utf-8")
     outcome = run_script(Path(sys.executable), copy, {"dtype": "float64"})
     assert outcome.status == "skipped"
     assert "Taichi is not installed" in outcome.reason

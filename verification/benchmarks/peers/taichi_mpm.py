@@ -1,7 +1,7 @@
 """An MLS-MPM step of neo-Hookean points written in Taichi, on the processor: points a second.
 
-Run by the Python of the environment with the peers: ``python taichi_mpm.py CASE RESULT``. The kernel is of the kind that
-is usual in that language: atomic additions into a dense grid, APIC, and the moving-least-squares form of the forces.
+Run by the Python of the environment with the peers: ``python taichi_mpm.py CASE RESULT``. The kernel is of the kind
+that is usual there: atomic additions into a dense grid, APIC, and the moving-least-squares form of the forces.
 """
 
 from __future__ import annotations
