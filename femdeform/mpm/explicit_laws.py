@@ -53,14 +53,16 @@ def material_sets(particles: Particles, laws: Laws) -> list[tuple[IntArray, Any]
         If a body has no material for a phase of its points, or one that is not of that phase.
     """
     out = []
-    for body, phase in np.unique(np.column_stack([particles.body, particles.phase]), axis=0).tolist():
+    kinds = 2 * particles.body.astype(np.int64) + particles.phase
+    for kind in np.unique(kinds).tolist():
+        body, phase = divmod(kind, 2)
         name = "liquid" if phase == LIQUID else "solid"
         if (body, phase) not in laws:
             raise InputError(f"body {body} has no material for {name} points")
         law = laws[body, phase]
         if isinstance(law, Liquid) != (phase == LIQUID):
             raise InputError(f"body {body}: {type(law).__name__} is no material of {name} points")
-        out.append((np.flatnonzero((particles.body == body) & (particles.phase == phase)), law))
+        out.append((np.flatnonzero(kinds == kind), law))
     return out
 
 
