@@ -268,7 +268,7 @@ def marching_squares(values: np.ndarray[Any, Any]) -> FloatArray:
 
 
 def _marching_cubes(values: np.ndarray[Any, Any]) -> FloatArray:
-    """Zero contour of values at the nodes of a 3D grid of spacing 1 as triangles (n, 3, 3), looking to larger values."""
+    """Zero contour of values at the nodes of a 3D grid of spacing 1 as triangles (n, 3, 3), facing larger values."""
     from skimage.measure import marching_cubes
 
     # Its words are of the left hand: "descent" makes cross products point to where values are larger.
