@@ -1,8 +1,9 @@
 """Heat in material points: conservative transfer to a grid, implicit conduction, exchange at the surface.
 
-    C_i (T_i' - T_i)/h = -sum_p K V_p grad N_i . grad T' - sum_r N_i(q_r) [a (T'(q_r) - Tbar) - b] |dA_r| + sum_p N_i H V_p
+    C_i (T_i' - T_i)/dt = - sum_p K V_p grad N_i . grad T' + sum_p N_i H V_p
+                          - sum_r N_i(q_r) [h (T'(q_r) - Tbar) - b] |dA_r|
 
-with heat capacities C, samples r of the surface, their areas |dA_r|, heat transfer a, ambient temperature Tbar, heating
+with heat capacities C, samples r of the surface, their areas |dA_r|, heat transfer h, ambient temperature Tbar, heating
 b and sources H. One linear system a step, symmetric and positive definite, by conjugate gradients.
 
 References
@@ -178,6 +179,7 @@ class HeatConduction:
         boundary: HeatBoundary | None = None,
         source: Field = 0.0,
         area_scale: float = 1.0,
+        stencils: Stencils | None = None,
     ) -> HeatReport:
         """Move the temperatures of material points and their gradients on by a time step.
 
@@ -199,6 +201,8 @@ class HeatConduction:
             H at the material points [W/m^3].
         area_scale : float
             Factor of the samples' areas, for the hull of a body where the contour outside it is known to be larger.
+        stencils : Stencils, optional
+            Of the material points, where they are at hand; only for the quadrature ``owner``.
 
         Raises
         ------
@@ -226,7 +230,8 @@ class HeatConduction:
         transfer, flux, ambient = self._exchange(samples, boundary, time, area_scale)
         exchange = np.bincount(carriers.place, transfer, len(carriers.points))
         entering = np.bincount(carriers.place, transfer * ambient + flux, len(carriers.points))
-        stencils = self.grid.stencils(carriers.points)
+        if stencils is None or carriers.points is not particles.x:
+            stencils = self.grid.stencils(carriers.points)
         C, T = self._to_nodes(stencils, particles, carriers, carried(heat_capacity), samples)
         rows = _Rows(stencils, carried(conduction), exchange, C / dt)
         load = stencils.to_nodes((carried(sources) + entering)[:, None])[:, 0]
@@ -323,11 +328,18 @@ class HeatConduction:
         return C, T
 
 
+def _places(dim: int) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Place in a row of 5^dim offsets for each pair of the 3^dim nodes of a stencil."""
+    shift = np.stack(np.meshgrid(*[np.arange(3)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
+    return np.asarray((shift[None, :] - shift[:, None] + 2) @ 5 ** np.arange(dim), dtype=np.int64)
+
+
 class _Rows:
     """The matrix of a step: C/dt, conduction, exchange."""
 
     def __init__(self, stencils: Stencils, conductance: FloatArray, exchange: FloatArray, inertia: FloatArray) -> None:
-        width = 5 ** stencils.positions.shape[1]
+        dim = stencils.positions.shape[1]
+        width = 5**dim
         self._neighbours = np.empty((stencils.n_nodes, width), dtype=np.int32)
         self._values = np.empty((stencils.n_nodes, width))
         self._inertia = inertia
@@ -339,6 +351,7 @@ class _Rows:
             stencils.entries,
             conductance,
             exchange,
+            _places(dim),
             self._neighbours,
             self._values,
         )

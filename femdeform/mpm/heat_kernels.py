@@ -84,6 +84,7 @@ def conduction_rows(
     entries: Any,
     conductance: Any,
     exchange: Any,
+    places: Any,
     neighbours: Any,
     values: Any,
 ) -> None:
@@ -95,6 +96,8 @@ def conduction_rows(
         Quadratic stencils of the quadrature points, see `femdeform.mpm.grid.Stencils`.
     conductance, exchange : (n_points,)
         K V [W m/K], h |dA| [W/K].
+    places : (n_stencil, n_stencil) int64
+        Place in a row for the offset from one node of a stencil to another.
     neighbours : (n_nodes, 5^dim) int32
         Receives the node of each place in a row, the row's own where there is none.
     values : (n_nodes, 5^dim)
@@ -110,14 +113,9 @@ def conduction_rows(
             k = entries[t] - p * size
             for m in range(size):
                 if weights[p, m] > 0.0:
-                    # Offset between the nodes, in digits of base 5.
-                    slot, stride, a, b = 0, 1, k, m
+                    slot = places[k, m]
                     product = 0.0
                     for c in range(dim):
-                        slot += (b % 3 - a % 3 + 2) * stride
-                        stride *= 5
-                        a //= 3
-                        b //= 3
                         product += gradients[p, k, c] * gradients[p, m, c]
                     neighbours[i, slot] = nodes[p, m]
                     values[i, slot] += conductance[p] * product + exchange[p] * weights[p, k] * weights[p, m]

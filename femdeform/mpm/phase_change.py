@@ -82,14 +82,10 @@ class Melting:
         whole = self.latent_heat + self._in_band * width
         part = np.clip(enthalpy, 0.0, whole) / whole if whole > 0.0 else np.zeros_like(enthalpy)
         below, above = np.minimum(enthalpy, 0.0), np.maximum(enthalpy - whole, 0.0)
-        return np.asarray(
-            self.solidus + width * part + below / self.solid_capacity + above / self.liquid_capacity
-        )
+        return np.asarray(self.solidus + width * part + below / self.solid_capacity + above / self.liquid_capacity)
 
 
-def recover_temperature(
-    melting: Melting, before: FloatArray, after: FloatArray, capacity: FloatArray
-) -> FloatArray:
+def recover_temperature(melting: Melting, before: FloatArray, after: FloatArray, capacity: FloatArray) -> FloatArray:
     """Temperatures (n,) [K] with the heat of a step of conduction, latent heat included.
 
     The enthalpy at a temperature before the step plus ``capacity (after - before)``: what conduction brought, and no
@@ -126,10 +122,10 @@ def change_phase(particles: Particles, melting: Melting, members: BoolArray | No
     int, int
         How many melted, and how many froze.
     """
-    T = particles.temperature
+    above, below = particles.temperature > melting.liquidus, particles.temperature < melting.solidus
     mine = np.ones(particles.n, dtype=bool) if members is None else members
-    melts = mine & (particles.phase == SOLID) & (T > melting.liquidus)
-    freezes = mine & (particles.phase == LIQUID) & (T < melting.solidus)
+    melts = mine & (particles.phase == SOLID) & above
+    freezes = mine & (particles.phase == LIQUID) & below
     particles.phase[melts] = LIQUID
     particles.J[melts] = 1.0
     particles.phase[freezes] = SOLID

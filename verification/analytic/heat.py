@@ -1,0 +1,92 @@
+"""Heat in slabs and discs: cooling through the surface by series, slowest modes."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from femdeform.types import FloatArray
+
+# Roots of the series, by bisection between those of neighbouring functions.
+_N_ROOTS = 60
+
+
+@cache
+def slab_roots(biot: float) -> FloatArray:
+    """Roots z of ``z tan z = Bi``, ascending."""
+    from scipy.optimize import brentq
+
+    return np.array(
+        [
+            brentq(lambda z: z * np.sin(z) - biot * np.cos(z), n * np.pi, (n + 0.5) * np.pi, xtol=1e-14)
+            for n in range(_N_ROOTS)
+        ]
+    )
+
+
+@cache
+def disc_roots(biot: float) -> FloatArray:
+    """Roots z of ``z J1(z) = Bi J0(z)``, ascending."""
+    from scipy.optimize import brentq
+    from scipy.special import j0, j1, jn_zeros
+
+    # The function has one root between a zero of J1 (or 0) and the next zero of J0.
+    lower = np.concatenate([[0.0], jn_zeros(1, _N_ROOTS - 1)])
+    upper = jn_zeros(0, _N_ROOTS)
+    return np.array(
+        [brentq(lambda z: z * j1(z) - biot * j0(z), a, b, xtol=1e-14) for a, b in zip(lower, upper, strict=True)]
+    )
+
+
+def cooling_slab(biot: float, fourier: float, place: FloatArray | None = None) -> FloatArray:
+    """(T - Tbar) / (T0 - Tbar) of a slab that loses heat on both faces.
+
+    Parameters
+    ----------
+    biot : float
+        h L / K with half the thickness L [-].
+    fourier : float
+        alpha t / L^2 [-].
+    place : (n,) float64, optional
+        Distances from the middle over L; the mean over the slab if not given.
+    """
+    z = slab_roots(biot)
+    weight = 4.0 * np.sin(z) / (2.0 * z + np.sin(2.0 * z)) * np.exp(-(z**2) * fourier)
+    shape = np.sin(z) / z if place is None else np.cos(np.multiply.outer(place, z))
+    return np.asarray(shape @ weight)
+
+
+def cooling_disc(biot: float, fourier: float, place: FloatArray | None = None) -> FloatArray:
+    """(T - Tbar) / (T0 - Tbar) of a disc that loses heat at its rim; see `cooling_slab`, L is the radius."""
+    from scipy.special import j0, j1
+
+    z = disc_roots(biot)
+    weight = 2.0 / z * j1(z) / (j0(z) ** 2 + j1(z) ** 2) * np.exp(-(z**2) * fourier)
+    shape = 2.0 * j1(z) / z if place is None else j0(np.multiply.outer(place, z))
+    return np.asarray(shape @ weight)
+
+
+def slowest_odd_disc_root(biot: float) -> float:
+    """Smallest z of the modes J1(z r/R) cos(angle) of a disc, decaying as alpha z^2/R^2: ``z J1'(z) + Bi J1(z) = 0``."""
+    from scipy.optimize import brentq
+    from scipy.special import jn_zeros, jvp
+
+    def mismatch(z: float) -> float:
+        return float(z * jvp(1, z) + biot * jvp(1, z, 0))
+
+    return float(brentq(mismatch, 1e-6, jn_zeros(1, 1)[0], xtol=1e-14))
+
+
+def stefan_front(stefan: float) -> float:
+    """Factor q of the front 2 q sqrt(alpha t) of a solid at its melting point that melts from a hot face.
+
+    ``sqrt(pi) q exp(q^2) erf(q) = St``, St = c (T_face - T_melt) / latent heat.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import erf
+
+    def mismatch(q: float) -> float:
+        return float(np.sqrt(np.pi) * q * np.exp(q * q) * erf(q) - stefan)
+
+    return float(brentq(mismatch, 1e-8, 5.0, xtol=1e-14))
