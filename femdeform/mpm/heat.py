@@ -28,7 +28,7 @@ from femdeform.mpm import heat_kernels as kernels
 from femdeform.mpm.grid import Grid, Stencils
 from femdeform.mpm.particles import LIQUID, Particles
 from femdeform.mpm.surface_samples import SurfaceSamples
-from femdeform.types import FloatArray
+from femdeform.types import FloatArray, IntArray
 
 # A number, one number for each sample or material point, or a function of positions (n, dim) [m] and the time [s].
 Field = float | FloatArray | Callable[[FloatArray, float], Any]
@@ -109,6 +109,11 @@ def current_volumes(particles: Particles) -> FloatArray:
     return np.asarray(stretch * particles.volume)
 
 
+def _sums(numbers: IntArray, values: FloatArray, n: int) -> FloatArray:
+    """Sums (n,) of the values of each number."""
+    return np.asarray(np.bincount(numbers, values, n), dtype=np.float64)
+
+
 @dataclass(frozen=True)
 class _Carriers:
     """Points that carry the heat of material points to the grid, and points where it is exchanged.
@@ -126,9 +131,9 @@ class _Carriers:
     """
 
     points: FloatArray
-    owner: np.ndarray[Any, np.dtype[np.int64]]
+    owner: IntArray
     share: FloatArray
-    place: np.ndarray[Any, np.dtype[np.int64]]
+    place: IntArray
 
 
 class HeatConduction:
@@ -228,8 +233,8 @@ class HeatConduction:
             return np.concatenate([carriers.share * values[carriers.owner], np.zeros(extra)])
 
         transfer, flux, ambient = self._exchange(samples, boundary, time, area_scale)
-        exchange = np.bincount(carriers.place, transfer, len(carriers.points))
-        entering = np.bincount(carriers.place, transfer * ambient + flux, len(carriers.points))
+        exchange = _sums(carriers.place, transfer, len(carriers.points))
+        entering = _sums(carriers.place, transfer * ambient + flux, len(carriers.points))
         if stencils is None or carriers.points is not particles.x:
             stencils = self.grid.stencils(carriers.points)
         C, T = self._to_nodes(stencils, particles, carriers, carried(heat_capacity), samples)
@@ -250,7 +255,7 @@ class HeatConduction:
         values, gradients = np.empty(len(carriers.points)), np.empty(carriers.points.shape)
         kernels.temperature_to_points(T, stencils.nodes, stencils.weights, stencils.gradients, values, gradients)
         at_samples = values[carriers.place]
-        particles.temperature = np.bincount(carriers.owner, carriers.share * values[: carriers.owner.size], n)
+        particles.temperature = _sums(carriers.owner, carriers.share * values[: carriers.owner.size], n)
         particles.temperature_gradient = gradients[:n].copy()
         return HeatReport(
             True,
@@ -328,7 +333,7 @@ class HeatConduction:
         return C, T
 
 
-def _places(dim: int) -> np.ndarray[Any, np.dtype[np.int64]]:
+def _places(dim: int) -> IntArray:
     """Place in a row of 5^dim offsets for each pair of the 3^dim nodes of a stencil."""
     shift = np.stack(np.meshgrid(*[np.arange(3)] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
     return np.asarray((shift[None, :] - shift[:, None] + 2) @ 5 ** np.arange(dim), dtype=np.int64)

@@ -39,7 +39,14 @@ def disc_roots(biot: float) -> FloatArray:
     )
 
 
-def cooling_slab(biot: float, fourier: float, place: FloatArray | None = None) -> FloatArray:
+def _decay(roots: FloatArray, fourier: float, steps: int | None) -> FloatArray:
+    """Factors of the modes: exponentials, or those of so many steps of backward Euler."""
+    if steps is None:
+        return np.asarray(np.exp(-(roots**2) * fourier))
+    return np.asarray((1.0 + roots**2 * fourier / steps) ** -steps)
+
+
+def cooling_slab(biot: float, fourier: float, place: FloatArray | None = None, steps: int | None = None) -> FloatArray:
     """(T - Tbar) / (T0 - Tbar) of a slab that loses heat on both faces.
 
     Parameters
@@ -50,25 +57,27 @@ def cooling_slab(biot: float, fourier: float, place: FloatArray | None = None) -
         alpha t / L^2 [-].
     place : (n,) float64, optional
         Distances from the middle over L; the mean over the slab if not given.
+    steps : int, optional
+        For what backward Euler gives in so many steps; the exact solution if not given.
     """
     z = slab_roots(biot)
-    weight = 4.0 * np.sin(z) / (2.0 * z + np.sin(2.0 * z)) * np.exp(-(z**2) * fourier)
+    weight = 4.0 * np.sin(z) / (2.0 * z + np.sin(2.0 * z)) * _decay(z, fourier, steps)
     shape = np.sin(z) / z if place is None else np.cos(np.multiply.outer(place, z))
     return np.asarray(shape @ weight)
 
 
-def cooling_disc(biot: float, fourier: float, place: FloatArray | None = None) -> FloatArray:
+def cooling_disc(biot: float, fourier: float, place: FloatArray | None = None, steps: int | None = None) -> FloatArray:
     """(T - Tbar) / (T0 - Tbar) of a disc that loses heat at its rim; see `cooling_slab`, L is the radius."""
     from scipy.special import j0, j1
 
     z = disc_roots(biot)
-    weight = 2.0 / z * j1(z) / (j0(z) ** 2 + j1(z) ** 2) * np.exp(-(z**2) * fourier)
+    weight = 2.0 / z * j1(z) / (j0(z) ** 2 + j1(z) ** 2) * _decay(z, fourier, steps)
     shape = 2.0 * j1(z) / z if place is None else j0(np.multiply.outer(place, z))
     return np.asarray(shape @ weight)
 
 
 def slowest_odd_disc_root(biot: float) -> float:
-    """Smallest z of the modes J1(z r/R) cos(angle) of a disc, decaying as alpha z^2/R^2: ``z J1'(z) + Bi J1(z) = 0``."""
+    """Smallest z of a disc's modes J1(z r/R) cos(angle), ``z J1'(z) + Bi J1(z) = 0``; they decay as alpha z^2/R^2."""
     from scipy.optimize import brentq
     from scipy.special import jn_zeros, jvp
 
