@@ -12,18 +12,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from femdeform.mpm.particles import LIQUID, Particles
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.temperature_functions import TemperatureFunction
-from femdeform.mpm.walls import Wall
 from femdeform.types import BoolArray, FloatArray
 
 # Positions (n, dim) to whether they are inside.
 Region = Callable[[FloatArray], BoolArray]
+
+
+class SignedDistance(Protocol):
+    """A rigid shape; positive distances are free space."""
+
+    def distance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signed distance (n,) [m] of positions (n, dim) and its unit gradient (n, dim)."""
+
+
+class MovingWall(Protocol):
+    """A shape that moves without turning."""
+
+    @property
+    def shape(self) -> SignedDistance:
+        """At time zero."""
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(dim,) [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +89,7 @@ def sample_temperatures(samples: SurfaceSamples, particles: Particles) -> FloatA
     return np.asarray(particles.temperature[samples.owner] + np.einsum("ra,ra->r", slope, apart))
 
 
-def wall_distance(walls: Sequence[Wall], points: FloatArray, time: float) -> FloatArray:
+def wall_distance(walls: Sequence[MovingWall], points: FloatArray, time: float) -> FloatArray:
     """Distances (n,) [m] of positions (n, dim) from the closest wall at a time [s], negative inside; inf without."""
     out = np.full(len(points), np.inf)
     for wall in walls:
