@@ -402,7 +402,10 @@ class _Rows:
         iteration = 0
         while np.sqrt(rz) > max(tolerance * first, floor) and iteration < max_iterations:
             Ap = self.times(p)
-            step = rz / float(np.einsum("i,i->", p, Ap))
+            curvature = float(np.einsum("i,i->", p, Ap))
+            if not curvature > 0.0:
+                break
+            step = rz / curvature
             x += step * p
             r -= step * Ap
             z = inverse * r

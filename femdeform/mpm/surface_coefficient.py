@@ -100,7 +100,7 @@ def wall_distance(walls: Sequence[MovingWall], points: FloatArray, time: float) 
 def surface_coefficients(
     samples: SurfaceSamples,
     particles: Particles,
-    tensions: Sequence[SurfaceTension],
+    tensions: Sequence[SurfaceTension | None],
     distance: FloatArray | None = None,
 ) -> SurfaceCoefficients:
     """Coefficients of all samples.
@@ -111,8 +111,8 @@ def surface_coefficients(
         Samples of the surface.
     particles : Particles
         Their owners.
-    tensions : sequence of SurfaceTension
-        One for each body.
+    tensions : sequence of SurfaceTension or None
+        One for each body; None for one without tension.
     distance : (n_samples,) float64, optional
         Of the samples from the walls (`wall_distance`); those below zero lie on a wall. Default: there is none.
 
@@ -120,14 +120,18 @@ def surface_coefficients(
     ------
     ValueError
         If liquid would gain energy by growing its surface without bounds: k_LG < 0, or k_LG + k_SL < 0, with which a
-        film on a wall grows.
+        film on a wall grows. If a body has no entry.
     """
+    if particles.n and int(particles.body.max()) >= len(tensions):
+        raise ValueError(f"there are {len(tensions)} tensions, and a body has number {int(particles.body.max())}")
     temperature = sample_temperatures(samples, particles)
     body, is_liquid = particles.body[samples.owner], particles.phase[samples.owner] == LIQUID
     below = np.zeros(samples.n, dtype=bool) if distance is None else distance < 0.0
     k = np.zeros(samples.n)
     on_wall = np.zeros(samples.n, dtype=bool)
     for number, tension in enumerate(tensions):
+        if tension is None:
+            continue
         mine = np.flatnonzero((body == number) & (is_liquid | tension.on_solid))
         points, T = samples.points[mine], temperature[mine]
         free = np.asarray(tension.liquid_gas(T), dtype=np.float64).copy()

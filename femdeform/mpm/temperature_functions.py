@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -104,16 +104,23 @@ class ByPhase:
     solid: TemperatureFunction
     liquid: TemperatureFunction
 
-    def at(self, particles: Particles) -> FloatArray:
-        """Values (n,) of material points."""
-        T = particles.temperature
-        return np.where(particles.phase == LIQUID, self.liquid(T), self.solid(T))
+    def __call__(self, temperature: FloatArray, phase: np.ndarray[Any, np.dtype[np.int8]]) -> FloatArray:
+        """Values (n,) at temperatures (n,) [K] in phases (n,), see `femdeform.mpm.particles`."""
+        return np.where(phase == LIQUID, self.liquid(temperature), self.solid(temperature))
 
 
 def of_bodies(functions: Sequence[ByPhase], particles: Particles) -> FloatArray:
-    """Values (n,) of material points, each from the function of its body."""
+    """Values (n,) of material points, each from the function of its body.
+
+    Raises
+    ------
+    ValueError
+        If a body has no function.
+    """
+    if particles.n and int(particles.body.max()) >= len(functions):
+        raise ValueError(f"there are {len(functions)} functions, and a body has number {int(particles.body.max())}")
     out = np.empty(particles.n)
     for number, function in enumerate(functions):
         mine = np.flatnonzero(particles.body == number)
-        out[mine] = function.at(particles.take(mine))
+        out[mine] = function(particles.temperature[mine], particles.phase[mine])
     return out

@@ -12,7 +12,14 @@ from femdeform.mpm.particles import Particles
 from femdeform.mpm.phase_change import Melting, recover_temperature
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
-from verification.analytic.heat import cooling_disc, cooling_slab, disc_roots, slowest_odd_disc_root, stefan_front
+from verification.analytic.heat import (
+    cooling_ball,
+    cooling_disc,
+    cooling_slab,
+    disc_roots,
+    slowest_odd_disc_root,
+    stefan_front,
+)
 
 Array = NDArray[np.float64]
 PER_CELL = 3
@@ -75,6 +82,22 @@ def test_exchange_at_the_samples_insulates_the_disc() -> None:
     assert coarse > 1.7 * exact
     assert fine > coarse
     assert cooled_disc(33, 1.0, "shifted") == pytest.approx(exact, rel=0.02)
+
+
+@pytest.mark.parametrize(("biot", "tolerance"), [(0.1, 0.01), (1.0, 0.06)])
+def test_cooling_ball(biot: float, tolerance: float) -> None:
+    radius, dx, steps = 0.3, 1.0 / 16, 20
+    box = lattice(np.full(3, 0.125), np.full(3, 0.875), dx)
+    particles = box.take(np.flatnonzero(((box.x - 0.5) ** 2).sum(axis=1) < radius**2))
+    particles.temperature[:] = 1.0
+    conduction, dt = HeatConduction(Grid(dx, "quadratic")), 0.5 * radius**2 / steps
+    for k in range(steps):
+        samples = SurfaceSampler(dx).sample(particles.x, k)
+        scale = 4.0 * np.pi * radius**2 / samples.measure.sum()
+        boundary = HeatBoundary(transfer=biot / radius)
+        assert conduction.step(particles, samples, dt, 0.0, 1.0, 1.0, boundary, area_scale=scale).converged
+    exact = cooling_ball(biot, 0.5, steps=steps)
+    assert particles.temperature.mean() == pytest.approx(exact, rel=tolerance)
 
 
 def test_cooling_slab() -> None:

@@ -1,4 +1,4 @@
-"""Heat in slabs and discs: cooling through the surface by series, slowest modes."""
+"""Heat in slabs, discs and balls: cooling through the surface by series, slowest modes."""
 
 from __future__ import annotations
 
@@ -74,6 +74,25 @@ def cooling_disc(biot: float, fourier: float, place: FloatArray | None = None, s
     weight = 2.0 / z * j1(z) / (j0(z) ** 2 + j1(z) ** 2) * _decay(z, fourier, steps)
     shape = 2.0 * j1(z) / z if place is None else j0(np.multiply.outer(place, z))
     return np.asarray(shape @ weight)
+
+
+@cache
+def ball_roots(biot: float) -> FloatArray:
+    """Roots z of ``1 - z cot z = Bi``, ascending."""
+    from scipy.optimize import brentq
+
+    def mismatch(z: float) -> float:
+        return float((1.0 - biot) * np.sin(z) - z * np.cos(z))
+
+    return np.array([brentq(mismatch, n * np.pi + 1e-6, (n + 1) * np.pi, xtol=1e-14) for n in range(_N_ROOTS)])
+
+
+def cooling_ball(biot: float, fourier: float, steps: int | None = None) -> float:
+    """Mean of (T - Tbar) / (T0 - Tbar) over a ball that loses heat at its surface; see `cooling_slab`."""
+    z = ball_roots(biot)
+    moment = np.sin(z) - z * np.cos(z)
+    weight = 4.0 * moment / (2.0 * z - np.sin(2.0 * z)) * _decay(z, fourier, steps)
+    return float(weight @ (3.0 * moment / z**3))
 
 
 def slowest_odd_disc_root(biot: float) -> float:

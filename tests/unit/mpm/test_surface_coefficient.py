@@ -53,6 +53,10 @@ def test_body_temperature_and_region_choose_the_coefficient() -> None:
     expected = np.where(y > 0.2, 0.0, np.where(y > 0.1, 7.0, 0.5))
     np.testing.assert_array_equal(found.k[second], expected[second])
     assert not found.is_on_wall.any()
+    alone = surface_coefficients(samples, particles, [None, tensions[1]])
+    np.testing.assert_array_equal(alone.k, np.where(second, found.k, 0.0))
+    with pytest.raises(ValueError, match="a body has number 1"):
+        surface_coefficients(samples, particles, tensions[:1])
 
 
 def test_samples_below_a_wall_are_between_solid_and_liquid() -> None:

@@ -26,6 +26,8 @@ def test_phase_and_body_choose_the_function() -> None:
     particles.body[2:] = 1
     first, second = ByPhase(Constant(1.0), Linear(0.0, 1.0, 0.0)), ByPhase(Linear(0.0, -1.0, 0.0), Constant(7.0))
     np.testing.assert_allclose(of_bodies([first, second], particles), [1.0, 300.0, 7.0, -400.0])
+    with pytest.raises(ValueError, match="a body has number 1"):
+        of_bodies([first], particles)
 
 
 def test_bad_input() -> None:
