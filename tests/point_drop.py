@@ -88,8 +88,10 @@ class Drop:
             samples = self.tension.samples
             for r in range(samples.n):
                 A = 0.5 * (F[n + r] + F[n + r].T) if self.symmetric else F[n + r]
-                total += self.tension.coefficient[r] * samples.measure[r] * float(
-                    np.linalg.norm(cofactor(A) @ samples.normals[r])
+                total += (
+                    self.tension.coefficient[r]
+                    * samples.measure[r]
+                    * float(np.linalg.norm(cofactor(A) @ samples.normals[r]))
                 )
         return total
 

@@ -83,7 +83,10 @@ def solve_step(
         linear_iterations += result.linear_iterations
         passes += 1
         converged, reason = result.converged, result.reason
-        if not converged or not problem.update_contact(result.x, tolerance):
+        if not converged:
+            reason += problem.obstacle(result.x)
+            break
+        if not problem.update_contact(result.x, tolerance):
             break
         if passes == _PASSES:
             converged, reason = False, f"walls: no set of nodes in contact was found in {passes} solves"

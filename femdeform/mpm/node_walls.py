@@ -160,6 +160,11 @@ class WallContact:
     predicted : (n_nodes, dim) float64
         Displacement by inertia and gravity alone [m]: separating walls hold first where it goes into them.
 
+    Raises
+    ------
+    ValueError
+        If a normal that is needed is not one.
+
     Attributes
     ----------
     nodes : (n_rows,) int64
@@ -202,6 +207,8 @@ class WallContact:
             self._wall_velocity[rows] = wall.velocity[self.nodes[rows]]
             self.two_sided[rows] = wall.kind == "slip"
             self.friction[rows] = wall.friction
+        if not np.allclose(np.einsum("rc,rc->r", self.normals, self.normals), 1.0):
+            raise ValueError("a wall has no unit normal at a node inside it")
         self.targets = dt * np.einsum("rc,rc->r", self.normals, self._wall_velocity)
         self.active = np.where(self.two_sided | (self.gaps(predicted) < 0.0), 1, 0).astype(np.uint8)
         self.frames: FloatArray = np.empty((n_nodes, dim, dim))

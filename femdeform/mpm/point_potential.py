@@ -263,6 +263,28 @@ class PointPotential:
             return ""
         return f"material points moved by {longest / self.stencils.spacing:.3g} cells of the grid in one step"
 
+    def obstacle(self, x: FloatArray) -> str:
+        """What may have kept a solve from converging, to be added to its reason: points at the bound of `max_step`.
+
+        Nodes that only samples of a surface reach have little mass: in a step longer than capillary waves on the grid
+        allow, about ``sqrt(rho dx^3 / (2 pi k))``, they move so far that their samples shrink to nothing.
+        """
+        D = self._deform(self.displacement(x), self._D)
+        n = self._particles.n
+        for what, rows in (("samples of the surface", slice(n, None)), ("material points", slice(0, n))):
+            smallest = float(self._volume_ratios(D)[rows].min(initial=np.inf))
+            if smallest < 2.0 * SMALLEST_J:
+                return f"; {what} shrink to {smallest:.2g} of their volume: take a smaller time step"
+        return ""
+
+    def _volume_ratios(self, D: FloatArray) -> FloatArray:
+        """det F^ of the points, (n_points,), of its symmetric part where that is what counts."""
+        dim = self.dim
+        base = self.quadrature.base.reshape(-1, dim, dim)
+        change = D.reshape(-1, dim, dim)
+        change = np.where(self._symmetric[:, None, None] == 1, 0.5 * (change + np.swapaxes(change, 1, 2)), change)
+        return np.asarray(np.linalg.det(base + change) / np.linalg.det(base))
+
     def spin(self, state: Any) -> FloatArray | None:
         """See `StepProblem`: grid nodes have none."""
         return None
