@@ -71,6 +71,22 @@ def test_forces_of_each_energy_are_derivatives_of_its_formula(dim: int, symmetri
         assert slope == pytest.approx(float(np.vdot(gradient, d)), rel=2e-7)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_virial_identity(dim: int) -> None:
+    """A dilation does work ``dim sum p J V0`` against the pressure and gains ``(dim - 1) sum k |dA|`` of surface."""
+    drop = point_drop.drop(dim, liquid="all", viscosity=0.0)
+    problem = drop.begun(DT)
+    rest = np.zeros_like(problem.points)
+    dilation = problem.points - 0.37
+    liquid, surface = (problem._term_gradient(term, rest) for term in problem.terms)
+    points, bulk = drop.points, drop.materials.bulk_modulus
+    pressure = -bulk * (points.J - 1.0)
+    work = -dim * float(np.sum(pressure * points.J * points.volume))
+    assert float(np.vdot(liquid, dilation)) == pytest.approx(work, rel=1e-12)
+    gain = (dim - 1.0) * float(np.sum(drop.tension.coefficient * drop.tension.samples.measure))
+    assert float(np.vdot(surface, dilation)) == pytest.approx(gain, rel=1e-12)
+
+
 @pytest.mark.parametrize(("dim", "symmetric"), CASES)
 def test_hessian(dim: int, symmetric: bool) -> None:
     drop = point_drop.drop(dim, symmetric=symmetric)
