@@ -72,6 +72,8 @@ class PointHessian:
         self._owner = owner
         self._values: FloatArray | None = None
         self._diagonal: FloatArray | None = None
+        self._turned = (frames != np.eye(self.dim)).any(axis=(1, 2))
+        self._is_turned, self._is_held = bool(self._turned.any()), not bool(free.all())
         self._dims = (0,) * self.dim
         self._stencil = (0,) * quadrature.nodes.shape[1]
 
@@ -101,7 +103,6 @@ class PointHessian:
         """Values of the matrix; a buffer that the next one assembled overwrites."""
         if self._values is None:
             pattern, q, t = self.pattern, self.quadrature, self.tangents
-            turned = (self.frames != np.eye(self.dim)).any(axis=(1, 2))
             self._values = self._owner.matrix_values(pattern.dof_columns.size)
             point_kernels.assemble(
                 q.gradients,
@@ -116,12 +117,13 @@ class PointHessian:
                 pattern.neighbours,
                 pattern.row_offsets,
                 self.frames,
-                turned.view(np.uint8),
+                self._turned.view(np.uint8),
                 self.free.view(np.uint8),
                 self._dims,
                 self._stencil,
                 self._values,
             )
+            point_kernels.mirror(pattern.row_offsets, pattern.columns, self._dims, self._values)
         return self._values
 
     def diagonal_blocks(self) -> FloatArray:
@@ -142,7 +144,8 @@ class PointHessian:
                 self._stencil,
                 blocks,
             )
-            blocks = np.swapaxes(self.frames, 1, 2) @ blocks @ self.frames
+            if self._is_turned:
+                blocks = np.swapaxes(self.frames, 1, 2) @ blocks @ self.frames
             own = np.einsum("icc->ic", blocks).copy()
             blocks[~self.free] = 0.0
             np.swapaxes(blocks, 1, 2)[~self.free] = 0.0
@@ -153,18 +156,19 @@ class PointHessian:
 
     def times(self, field: FloatArray) -> FloatArray:
         """Product with a (n_nodes, dim) field of the unknowns, without the matrix."""
-        out = self._times_all(np.where(self.free, field, 0.0))
-        own = np.einsum("icc->ic", self.diagonal_blocks())
-        return np.where(self.free, out, own * field)
-
-    def _times_all(self, field: FloatArray) -> FloatArray:
-        """The same, prescribed unknowns like others."""
         q, t = self.quadrature, self.tangents
-        u = np.einsum("iab,ib->ia", self.frames, field)
+        u = np.where(self.free, field, 0.0) if self._is_held else np.ascontiguousarray(field)
+        if self._is_turned:
+            u = np.einsum("iab,ib->ia", self.frames, u)
         D, P = np.empty_like(q.base), np.empty_like(q.base)
         point_kernels.deformations(u, q.nodes, q.gradients, self._dims, self._stencil, D)
         point_kernels.stress_changes(D, t.place, t.matrices, t.alpha, t.beta, self._dims, P)
         out = np.empty_like(u)
         point_kernels.forces(P, q.gradients, q.offsets, q.entries, self._dims, self._stencil, out)
         out += self.weights[:, None] * u
-        return np.asarray(np.einsum("iba,ib->ia", self.frames, out))
+        if self._is_turned:
+            out = np.einsum("iba,ib->ia", self.frames, out)
+        if not self._is_held:
+            return out
+        own = np.einsum("icc->ic", self.diagonal_blocks())
+        return np.where(self.free, out, own * field)

@@ -186,6 +186,8 @@ def assemble(
 ) -> None:
     """Values of the Hessian as a CSR matrix over the unknowns: ``Q^T (diag(weights) + sum_q G_q C_q G_q^T) Q``.
 
+    Nodes of a stencil come in the order of their numbers. Blocks below the diagonal are left to `mirror`.
+
     Parameters
     ----------
     gradients : (n_points, 1, n_stencil, dim)
@@ -232,16 +234,19 @@ def assemble(
                 k = entries[t] - q * size
                 if place[q] >= 0:
                     _contract(tangents[place[q]], gradients, q, k, d, M)
-                    for n in range(size):
+                    for n in range(k, size):
                         _add_block(M, gradients, q, n, d, blocks[relative[k, n]])
                 else:
-                    for n in range(size):
+                    for n in range(k, size):
                         _add_liquid_block(alpha[q], beta[q], gradients, q, k, n, d, blocks[relative[k, n]])
             n_row = row_offsets[i + 1] - row_offsets[i]
             at = d * d * row_offsets[i]
             for r in range(n_around):
                 j = neighbours[i, r]
                 if j < 0:
+                    continue
+                if j < i:
+                    at += d
                     continue
                 if turned[i] or turned[j]:
                     for c in range(d):
@@ -263,6 +268,31 @@ def assemble(
                             value = abs(value) if i == j and c == m else 0.0
                         values[at + c * d * n_row + m] = value
                 at += d
+
+
+@njit(parallel=True)
+def mirror(row_offsets: Any, columns: Any, dim: Any, values: Any) -> None:
+    """Blocks below the diagonal of a symmetric CSR matrix from those above it; see `assemble`."""
+    d = len(dim)
+    for i in prange(row_offsets.shape[0] - 1):
+        n_row = row_offsets[i + 1] - row_offsets[i]
+        for b in range(n_row):
+            j = columns[row_offsets[i] + b]
+            if j >= i:
+                break
+            low, high = row_offsets[j], row_offsets[j + 1]
+            while low < high:
+                middle = (low + high) // 2
+                if columns[middle] < i:
+                    low = middle + 1
+                else:
+                    high = middle
+            n_other = row_offsets[j + 1] - row_offsets[j]
+            there = d * d * row_offsets[j] + d * (low - row_offsets[j])
+            here = d * d * row_offsets[i] + d * b
+            for c in range(d):
+                for m in range(d):
+                    values[here + c * d * n_row + m] = values[there + m * d * n_other + c]
 
 
 @njit(parallel=True)
