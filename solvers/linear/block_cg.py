@@ -43,7 +43,7 @@ class BlockCG:
     Limitations
     -----------
     Iterations grow with the stiffness: for material points with the Courant number of sound c h / dx, see
-    docs/methods/linear-solvers.md. K has to be positive definite; where it is not the solver says so. One rank.
+    docs/methods/implicit-points.md. K has to be positive definite; where it is not the solver says so. One rank.
     """
 
     name = "block_cg"
