@@ -12,9 +12,11 @@ from solvers.linear.interface import LinearResult
 
 
 class Operator(Protocol):
-    """A symmetric matrix that is known by its products, such as `femdeform.mpm.point_hessian.PointHessian`."""
+    """A symmetric matrix known by its products: `SparseHessian`, `femdeform.mpm.point_hessian.PointHessian`."""
 
-    partition: Partition
+    @property
+    def partition(self) -> Partition:
+        """Ownership of the nodes."""
 
     def times(self, field: FloatArray) -> FloatArray:
         """Product with a (n_local, dim) field."""
@@ -43,7 +45,7 @@ class BlockCG:
     Limitations
     -----------
     Iterations grow with the stiffness: for material points with the Courant number of sound c h / dx, see
-    docs/methods/implicit-points.md. K has to be positive definite; where it is not the solver says so. One rank.
+    docs/methods/implicit-points.md. K has to be positive definite; where it is not the solver says so.
     """
 
     name = "block_cg"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from femdeform.fem.assembly import SparseHessian
 from femdeform.parallel import Partition
 from solvers.linear.block_cg import BlockCG
 
@@ -64,6 +65,22 @@ def test_block_diagonal_matrix_takes_one_iteration() -> None:
     assert found.iterations == 1
     np.testing.assert_allclose(found.x, np.linalg.solve(K.matrix, b.ravel()).reshape(3, 3), rtol=1e-10)
     assert BlockCG().solve(K, np.zeros((3, 3))).iterations == 0
+
+
+def test_assembled_matrices_are_taken_too() -> None:
+    import scipy.sparse
+
+    dense = definite(12, 3, 6.0).matrix
+    dense[:9, 24:] = dense[24:, :9] = 0.0  # not full
+    dense += 2.0 * np.diag(np.diag(dense))
+    matrix = scipy.sparse.csr_matrix(dense)
+    points, free = np.zeros((12, 3)), np.ones((12, 3), dtype=bool)
+    K = SparseHessian(matrix.indptr, matrix.indices, matrix.data, points, free, Partition.serial(12), object())
+    np.testing.assert_array_equal(K.diagonal_blocks(), Dense(dense, 3).diagonal_blocks())
+    b = np.random.default_rng(2).standard_normal((12, 3))
+    found = BlockCG(1e-10).solve(K, b)
+    assert found.converged
+    np.testing.assert_allclose(found.x.ravel(), np.linalg.solve(dense, b.ravel()), rtol=1e-6)
 
 
 def test_failure_is_said() -> None:
