@@ -39,22 +39,19 @@ class Groups:
     mass : (n_points,) float64
         Of the points [kg].
     positions : (n_members, dim) float64
-        Members, group after group: the point, its samples, their mirror images [m].
-    offsets : (n_points + 1,) int64
-        First member of each group: the point itself.
+        Members: all points, then all samples, then their mirror images in the order of the samples [m].
     owner : (n_members,) int64
         Point of each member.
-    samples : (n_samples,) int64
-        Member of each sample.
+    sizes : (n_points,) int64
+        Number of members of each group.
     stencils : Stencils
         Of all members.
     """
 
     mass: FloatArray
     positions: FloatArray
-    offsets: IntArray
     owner: IntArray
-    samples: IntArray
+    sizes: IntArray
     stencils: Stencils
 
     @classmethod
@@ -69,32 +66,32 @@ class Groups:
         if grid.degree != 2:
             raise ValueError("groups need quadratic splines")
         n = len(x)
-        counts = np.zeros(n, np.int64) if samples is None else np.bincount(samples.owner, minlength=n)
-        offsets = np.concatenate([[0], np.cumsum(2 * counts + 1)])
-        positions = np.repeat(x, 2 * counts + 1, axis=0)
-        members = np.empty(0, np.int64)
+        own, near = np.arange(n), np.empty(0, np.int64)
+        positions = np.array(x, dtype=float)
         if samples is not None and samples.n:
-            # Samples come in the order of their owners.
-            rank = np.arange(samples.n) - np.repeat(np.cumsum(counts) - counts, counts)
-            members = offsets[samples.owner] + 1 + rank
-            positions[members] = samples.points
-            positions[members + counts[samples.owner]] = 2.0 * x[samples.owner] - samples.points
-        owner = np.repeat(np.arange(n), 2 * counts + 1)
-        return cls(np.asarray(mass), positions, offsets, owner, members, grid.stencils(positions))
+            near = samples.owner
+            positions = np.concatenate([positions, samples.points, 2.0 * positions[near] - samples.points])
+        owner = np.concatenate([own, near, near])
+        return cls(np.asarray(mass), positions, owner, np.bincount(owner, minlength=n), grid.stencils(positions))
+
+    @property
+    def n(self) -> int:
+        """Number of points."""
+        return int(self.mass.size)
 
     @property
     def points(self) -> IntArray:
-        """Member of each point: the first of its group."""
-        return self.offsets[:-1]
+        """Member of each point."""
+        return np.arange(self.n)
 
     @property
-    def sizes(self) -> IntArray:
-        """Number of members of each group."""
-        return np.diff(self.offsets)
+    def samples(self) -> IntArray:
+        """Member of each sample."""
+        return np.arange(self.n, (self.n + self.owner.size) // 2)
 
     def arms(self) -> FloatArray:
         """Positions of the members relative to their points, (n_members, dim) [m]."""
-        return self.positions - self.positions[self.points][self.owner]
+        return self.positions - self.positions[self.owner]
 
     def moments(self) -> FloatArray:
         """Second moments of the groups, ``D_p = dx^2/4 I + mean (x_k - x_p)(x_k - x_p)^T``, (n, dim, dim) [m^2]."""
@@ -104,8 +101,10 @@ class Groups:
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Means over the groups (n_points, ...) of values of the members (n_members, ...)."""
-        sizes = self.sizes.reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray(np.add.reduceat(values, self.points, axis=0) / sizes)
+        flat = values.reshape(len(values), -1)
+        # One owner after another, each member in turn: sums do not depend on anything else.
+        sums = np.stack([np.bincount(self.owner, column, self.n) for column in flat.T], axis=1)
+        return np.asarray((sums / self.sizes[:, None]).reshape(self.n, *values.shape[1:]))
 
     def to_grid(self, v: FloatArray, affine: FloatArray, group_apic: bool = False) -> tuple[FloatArray, FloatArray]:
         """Masses (n_nodes,) [kg] and velocities (n_nodes, dim) [m/s] of the nodes.
