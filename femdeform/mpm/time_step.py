@@ -92,6 +92,15 @@ def explicit_limit(
             stiffness = law.lmbda + 2.0 * law.mu
         if stiffness > 0.0:
             limit = min(limit, sound * spacing * float(np.sqrt(density / stiffness)))
-    if surface_tension > 0.0:
-        limit = min(limit, CAPILLARY * float(np.sqrt(lightest * spacing**3 / (2.0 * np.pi * surface_tension))))
-    return float(limit)
+    return float(min(limit, capillary_limit(spacing, lightest, surface_tension)))
+
+
+def capillary_limit(spacing: float, density: float, surface_tension: float) -> float:
+    """Longest step [s] with surface tension [N/m], also of an implicit step.
+
+    Half a period of the shortest capillary wave. Beyond it the least energy of an implicit step lies where the light
+    nodes outside the liquid have moved so far that the samples they hold shrink to nothing.
+    """
+    if surface_tension <= 0.0:
+        return np.inf
+    return CAPILLARY * float(np.sqrt(density * spacing**3 / (2.0 * np.pi * surface_tension)))

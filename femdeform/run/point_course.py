@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from femdeform import registry
 from femdeform.errors import InputError
 from femdeform.mpm.particles import Particles
-from femdeform.mpm.time_step import explicit_limit
+from femdeform.mpm.time_step import capillary_limit, explicit_limit
 from femdeform.run.checkpoint import START_ANEW
 from femdeform.run.course import Columns, Fields, FrameData
 from femdeform.run.expectations import crossing_verdicts, largest_of, measured_verdicts, verdict
@@ -53,7 +53,7 @@ class PointCourse:
     """
 
     columns = COLUMNS
-    limited_by = "time.cfl, or what an explicit step can resolve"
+    limited_by = "time.cfl, or waves that a step has to resolve"
 
     def __init__(self, given: RunInput, comm: Any | None) -> None:
         scene = given.loaded.scene
@@ -76,26 +76,25 @@ class PointCourse:
         self._measured: dict[str, float] = {}
         self.writer = VTPWriter()
         self.start = PointState(make_points(scene, given.meshes))
-        self._limit = np.inf
-        if scene.time.scheme == "explicit":
-            self._limit = self._explicit_limit()
-            if self._limit < scene.time.dt:
-                self.notices.append(
-                    f"explicit steps may not be longer than {self._limit:.3g} s: dt is halved until it fits"
-                )
+        self._limit = self._longest_step()
+        if self._limit < scene.time.dt:
+            what = "explicit steps" if solver is None else "steps with surface tension"
+            self.notices.append(f"{what} may not be longer than {self._limit:.3g} s here: dt is halved until it fits")
 
-    def _explicit_limit(self) -> float:
-        points = self.start.particles
-        strongest = 0.0
-        if self._step.has_tension:
-            # Temperatures change on the way; what is seen at the start has to do.
-            for tension in self._step.materials.tensions:
-                if tension is not None:
-                    functions = [tension.liquid_gas, *(function for _, function in tension.regions)]
-                    if tension.solid_liquid is not None:
-                        functions.append(tension.solid_liquid)
-                    strongest = max([strongest, *(float(np.abs(f(points.temperature)).max()) for f in functions)])
-        return explicit_limit(self._scene.grid.cell_size, law_densities(self._step.materials, self._scene), strongest)
+    def _longest_step(self) -> float:
+        """What sound and capillary waves allow [s]; the latter bind implicit steps too."""
+        materials, strongest = self._step.materials, 0.0
+        # Temperatures change on the way; what is seen at the start has to do.
+        temperature = self.start.particles.temperature
+        for tension in materials.tensions:
+            if tension is not None:
+                functions = [tension.liquid_gas, *(function for _, function in tension.regions)]
+                functions += [] if tension.solid_liquid is None else [tension.solid_liquid]
+                strongest = max([strongest, *(float(np.abs(each(temperature)).max()) for each in functions)])
+        spacing, densities = self._scene.grid.cell_size, law_densities(materials, self._scene)
+        if self._scene.time.scheme == "explicit":
+            return explicit_limit(spacing, densities, strongest)
+        return capillary_limit(spacing, min(density for _, density in densities), strongest)
 
     # ------------------------------------------------------------------------------------------------- stepping
 

@@ -174,7 +174,8 @@ def make_materials(scene: PointScene) -> Materials:
 
 
 def _melting(body: schema.PointBody) -> Melting:
-    assert body.melting is not None and body.heat is not None
+    assert body.melting is not None
+    assert body.heat is not None
     block, capacity = body.melting, body.heat.capacity
     return Melting(block.solidus, block.liquidus, block.latent_heat, capacity, capacity)
 

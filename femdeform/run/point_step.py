@@ -23,8 +23,8 @@ from femdeform.mpm.point_terms import SurfaceTension
 from femdeform.mpm.rigid_walls import RigidWall
 from femdeform.mpm.surface_coefficient import surface_coefficients, wall_distance
 from femdeform.mpm.surface_forces import surface_forces
-from femdeform.mpm.surface_sampling import SurfaceSampler
 from femdeform.mpm.surface_samples import SurfaceSamples
+from femdeform.mpm.surface_sampling import SurfaceSampler
 from femdeform.run.point_setup import Materials, heat_boundary, heat_sources, make_materials, make_walls
 from femdeform.scene.point_schema import PointScene
 from femdeform.step_problem import IterationObserver, StepSolver
@@ -168,7 +168,8 @@ class PointStep:
     def _conduct(self, points: Particles, surface: _Surface | None, time: float, dt: float) -> HeatReport:
         """Move temperatures on, latent heat included."""
         materials = self.materials
-        assert materials.capacity is not None and materials.conductivity is not None
+        assert materials.capacity is not None
+        assert materials.conductivity is not None
         before = points.temperature.copy()
         capacity = materials.capacity[points.body]
         boundary = None

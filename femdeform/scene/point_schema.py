@@ -10,7 +10,7 @@ from femdeform.scene.key_path import KeyPath
 from femdeform.scene.mesh_schema import MeshSource
 from femdeform.scene.point_body_schema import PointBody, PointWall
 from femdeform.scene.quantity_schema import Component, ExpectedTime, ExpectedValue
-from femdeform.scene.scene_model import Finite, Name, Positive, SceneModel, Vector, as_tuple, default_tag, distinct
+from femdeform.scene.scene_model import Name, Positive, SceneModel, Vector, default_tag, distinct
 from femdeform.scene.schema import (
     KSPLinearSolver,
     OnFailure,
@@ -70,8 +70,8 @@ class HeatOptions(SceneModel):
 
     quadrature: Literal["owner", "literal", "shifted"] = Field(
         default="owner",
-        description="where the surface exchanges heat: at the points that own its samples; at the samples, as published, "
-        "which insulates bodies; at samples moved inwards",
+        description="where the surface exchanges heat: at the points that own its samples; at the samples, as "
+        "published, which insulates bodies; at samples moved inwards",
     )
     area_scale: Positive = Field(default=1.0, description="factor on the sampled area [-]")
     tolerance: float = Field(default=1e-10, gt=0.0, lt=1.0, description="reduction of the residual by a solve [-]")
@@ -139,16 +139,16 @@ class PointSumQuantity(SceneModel):
         "min_jacobian",
     ] = Field(
         description="mass [kg], volume [m^3], kinetic energy [J], largest speed of a point [m/s], area of the sampled "
-        "surface [m^2] and its energy [J], sum of m c T [J], temperatures weighed by mass [K], part of the mass that is "
-        "liquid [-], mean pressure of liquid points by volume [Pa], smallest volume ratio [-]"
+        "surface [m^2] and its energy [J], sum of m c T [J], temperatures weighed by mass [K], part of the mass that "
+        "is liquid [-], mean pressure of liquid points by volume [Pa], smallest volume ratio [-]"
     )
     body: Name | None = Field(default=None, description="restrict to one body")
 
 
 class PointVectorQuantity(SceneModel):
     kind: Literal["centroid", "linear_momentum", "angular_momentum", "highest", "lowest"] = Field(
-        description="centre of mass [m], linear momentum [kg m/s], angular momentum about the origin [kg m^2/s], highest "
-        "and lowest coordinate of a point [m]"
+        description="centre of mass [m], linear momentum [kg m/s], angular momentum about the origin [kg m^2/s], "
+        "highest and lowest coordinate of a point [m]"
     )
     component: Component = Field(description="component, or the norm; in 2D angular momentum has z only")
     body: Name | None = Field(default=None, description="restrict to one body")
