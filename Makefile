@@ -113,6 +113,8 @@ $(PEERS)/.ready:
 	  || echo "peers: no Newton (physics engine) for this machine: its column stays empty"
 	@$(PEERS)/bin/python -m pip install -q --disable-pip-version-check pypbd \
 	  || echo "peers: no pyPBD for this machine: its row stays empty"
+	@$(PEERS)/bin/python -m pip install -q --disable-pip-version-check 'taichi>=1.7' \
+	  || echo "peers: no Taichi for this machine: its rows stay empty"
 	@touch $@
 
 peers: $(PEERS)/.ready

@@ -27,6 +27,7 @@ SOLVERS: dict[str, str] = {
 COURSES: dict[str, str] = {
     "deformable": "femdeform.run.deformable:DeformableCourse",
     "incompressible_flow": "femdeform.run.flow_course:FlowCourse",
+    "material_points": "femdeform.run.point_course:PointCourse",
 }
 
 # Makes what solves for the pressure of a flow.
@@ -35,6 +36,7 @@ PRESSURE_SOLVER = "solvers.linear.poisson.make:make_pressure_solver"
 LINEAR_SOLVERS: dict[str, str] = {
     "ksp": "solvers.linear.ksp:KSP",
     "scipy_direct": "solvers.linear.scipy_direct:SciPyDirect",
+    "block_cg": "solvers.linear.block_cg:BlockCG",
 }
 
 MESH: dict[str, str] = {

@@ -84,6 +84,18 @@ class SparseHessian:
         self.partition.accumulate(product)
         return product
 
+    def diagonal_blocks(self) -> FloatArray:
+        """Blocks of single nodes, (n_local, dim, dim), consistent on ghosts."""
+        import scipy.sparse
+
+        n, dim = self.points.shape
+        matrix = scipy.sparse.csr_matrix((self.values, self.columns, self.row_offsets), shape=(n * dim, n * dim))
+        blocks = matrix.tobsr(blocksize=(dim, dim))
+        node = np.repeat(np.arange(n), np.diff(blocks.indptr))
+        own = np.ascontiguousarray(blocks.data[blocks.indices == node].reshape(n, dim * dim))
+        self.partition.accumulate(own)
+        return own.reshape(n, dim, dim)
+
 
 class BlockPattern:
     """Sparsity of the Hessian over nodes and the list of cell blocks that add to each of its blocks.

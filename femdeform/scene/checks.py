@@ -21,6 +21,7 @@ from femdeform.scene.meshing import survey_meshes
 from femdeform.scene.mixed_schema import MixedFEMSolver
 from femdeform.scene.muscle_checks import muscle_findings
 from femdeform.scene.partial import sound_part
+from femdeform.scene.point_checks import point_findings
 from femdeform.scene.quantity_checks import quantity_findings
 from femdeform.scene.selection_checks import COMPONENTS, hint_of, judge_selection, vectors_inside
 from femdeform.scene.skins import load_skins
@@ -36,6 +37,9 @@ def check_loaded(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterab
     """Return everything wrong with a scene of any kind that passed the schema; parameters as for `check_scene`."""
     if loaded.scene.simulation == "incompressible_flow":
         findings = flow_findings(loaded.scene, meshes)
+        return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
+    if loaded.scene.simulation == "material_points":
+        findings = point_findings(loaded.scene, meshes)
         return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
     return check_scene(loaded, meshes, coarse)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Protocol
 
 from femdeform import registry
 from femdeform.scene.flow_schema import BallRegion, BoxRegion, FlowPointQuantity, FlowScene, SmokeCentroid
@@ -10,6 +11,28 @@ from femdeform.scene.key_path import KeyPath
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
+
+
+class _Measuring(Protocol):
+    """A scene with `measure` and `expect`."""
+
+    @property
+    def measure(self) -> Mapping[str, Any]:
+        """Quantities by name."""
+
+    @property
+    def expect(self) -> Any:
+        """Expected values."""
+
+
+def unmeasured_findings(scene: _Measuring) -> Iterator[Finding]:
+    """Expectations of quantities that the scene does not measure."""
+    wanted: list[tuple[KeyPath, str]] = [(("expect", "measured", name), name) for name in scene.expect.measured]
+    for index, crossing in enumerate(scene.expect.time_to_reach):
+        wanted.append((("expect", "time_to_reach", index, "quantity"), crossing.quantity))
+    for path, name in wanted:
+        if name not in scene.measure:
+            yield Finding(path, f"`{name}` is not measured; {did_you_mean(name, scene.measure)}")
 
 
 def flow_findings(scene: FlowScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
@@ -86,9 +109,4 @@ def _measure_findings(scene: FlowScene) -> Iterator[Finding]:
         )
         if not inside:
             yield Finding(("measure", name, "at"), "lies outside of the grid")
-    wanted: list[tuple[KeyPath, str]] = [(("expect", "measured", name), name) for name in scene.expect.measured]
-    for index, crossing in enumerate(scene.expect.time_to_reach):
-        wanted.append((("expect", "time_to_reach", index, "quantity"), crossing.quantity))
-    for path, name in wanted:
-        if name not in scene.measure:
-            yield Finding(path, f"`{name}` is not measured; {did_you_mean(name, scene.measure)}")
+    yield from unmeasured_findings(scene)

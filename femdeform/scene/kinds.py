@@ -7,7 +7,8 @@ from typing import Annotated
 from pydantic import Field
 
 from femdeform.scene.flow_schema import FlowScene
+from femdeform.scene.point_schema import PointScene
 from femdeform.scene.schema import DeformableScene
 
-AnyScene = DeformableScene | FlowScene
+AnyScene = DeformableScene | FlowScene | PointScene
 Scene = Annotated[AnyScene, Field(discriminator="simulation")]

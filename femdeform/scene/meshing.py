@@ -29,7 +29,7 @@ _COARSE_ALONG = 12.0
 _PATIENCE = 20.0
 
 # What the meshes under a key of a scene are of, in messages.
-_SUBJECTS = {"bodies": "body", "solids": "solid"}
+_SUBJECTS = {"bodies": "body", "solids": "solid", "walls": "wall"}
 
 _SIZES = ("element_size", "hole_element_size", "plate_element_size")
 _NOT_LENGTHS = (*_SIZES, "recipe", "translate", "rotate", "scale")

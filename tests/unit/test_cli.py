@@ -268,7 +268,11 @@ def test_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["schema"]) == 0
     schema = json.loads(capsys.readouterr().out)
     kinds = [schema["$defs"][each["$ref"].rsplit("/", 1)[1]]["required"] for each in schema["oneOf"]]
-    assert [set(keys) for keys in kinds] == [{"simulation", "bodies", "time"}, {"simulation", "grid", "time"}]
+    assert [set(keys) for keys in kinds] == [
+        {"simulation", "bodies", "time"},
+        {"simulation", "grid", "time"},
+        {"simulation", "grid", "bodies", "time"},
+    ]
 
 
 # ------------------------------------------------------------------------------------------------ exit codes

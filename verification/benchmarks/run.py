@@ -50,6 +50,7 @@ BENCHMARKS: dict[str, str] = {
     "mixed": "verification.benchmarks.mixed:run_mixed",
     "pbng": "verification.benchmarks.pbng:run_pbng",
     "xpbd": "verification.benchmarks.xpbd:run_xpbd",
+    "mpm": "verification.benchmarks.mpm:run_mpm",
 }
 
 

@@ -1,0 +1,126 @@
+"""Constants of materials and surfaces as functions of temperature and phase."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.types import FloatArray
+
+
+class TemperatureFunction(Protocol):
+    """A quantity that follows from the temperature."""
+
+    def __call__(self, temperature: FloatArray) -> FloatArray:
+        """Values (n,) at temperatures (n,) [K]."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same value at every temperature.
+
+    Attributes
+    ----------
+    value : float
+    """
+
+    value: float
+
+    def __call__(self, temperature: FloatArray) -> FloatArray:
+        """Values (n,) at temperatures (n,) [K]."""
+        return np.full(temperature.shape, self.value)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """``value + slope (T - reference)``, kept between two limits.
+
+    Attributes
+    ----------
+    value : float
+        At the reference temperature.
+    slope : float
+        Change a kelvin.
+    reference : float
+        Reference temperature [K].
+    lowest, highest : float
+        Limits of the value.
+    """
+
+    value: float
+    slope: float
+    reference: float
+    lowest: float = -np.inf
+    highest: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.lowest <= self.highest:
+            raise ValueError(f"the lowest value {self.lowest} is above the highest one {self.highest}")
+
+    def __call__(self, temperature: FloatArray) -> FloatArray:
+        """Values (n,) at temperatures (n,) [K]."""
+        return np.asarray(np.clip(self.value + self.slope * (temperature - self.reference), self.lowest, self.highest))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Linear between given temperatures, constant beyond the first and the last one.
+
+    Attributes
+    ----------
+    temperatures : tuple of float
+        Ascending [K].
+    values : tuple of float
+        One for each.
+    """
+
+    temperatures: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.temperatures) != len(self.values) or not self.temperatures:
+            raise ValueError(f"{len(self.temperatures)} temperatures and {len(self.values)} values are no table")
+        if not np.all(np.diff(self.temperatures) > 0.0):
+            raise ValueError("the temperatures of a table have to ascend")
+
+    def __call__(self, temperature: FloatArray) -> FloatArray:
+        """Values (n,) at temperatures (n,) [K]."""
+        return np.asarray(np.interp(temperature, self.temperatures, self.values))
+
+
+@dataclass(frozen=True)
+class ByPhase:
+    """A function for the solid and one for the liquid.
+
+    Attributes
+    ----------
+    solid, liquid : TemperatureFunction
+    """
+
+    solid: TemperatureFunction
+    liquid: TemperatureFunction
+
+    def __call__(self, temperature: FloatArray, phase: np.ndarray[Any, np.dtype[np.int8]]) -> FloatArray:
+        """Values (n,) at temperatures (n,) [K] in phases (n,), see `femdeform.mpm.particles`."""
+        return np.where(phase == LIQUID, self.liquid(temperature), self.solid(temperature))
+
+
+def of_bodies(functions: Sequence[ByPhase], particles: Particles) -> FloatArray:
+    """Values (n,) of material points, each from the function of its body.
+
+    Raises
+    ------
+    ValueError
+        If a body has no function.
+    """
+    if particles.n and int(particles.body.max()) >= len(functions):
+        raise ValueError(f"there are {len(functions)} functions, and a body has number {int(particles.body.max())}")
+    out = np.empty(particles.n)
+    for number, function in enumerate(functions):
+        mine = np.flatnonzero(particles.body == number)
+        out[mine] = function(particles.temperature[mine], particles.phase[mine])
+    return out

@@ -1,0 +1,225 @@
+"""From a checked scene of material points to its points, materials, walls and surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from femdeform.contact.obstacles import Box, Plane, Sphere
+from femdeform.materials import law_for
+from femdeform.mpm.explicit_laws import Laws, Liquid
+from femdeform.mpm.heat import HeatBoundary
+from femdeform.mpm.particle_sampling import sample_particles
+from femdeform.mpm.particles import LIQUID, SOLID, Particles
+from femdeform.mpm.phase_change import Melting
+from femdeform.mpm.point_terms import PointMaterials
+from femdeform.mpm.rigid_walls import RigidWall
+from femdeform.mpm.shapes import ClosedSurface, Ellipsoid
+from femdeform.mpm.surface_coefficient import SurfaceTension, solid_liquid_coefficient
+from femdeform.mpm.temperature_functions import Constant, Linear, Table, TemperatureFunction
+from femdeform.run.flow_setup import closed_surface
+from femdeform.scene import point_body_schema as schema
+from femdeform.scene.point_schema import PointScene
+from femdeform.types import BoolArray, FloatArray, Mesh
+
+
+def temperature_function(block: schema.TemperatureLaw) -> TemperatureFunction:
+    """The function that a scene gives."""
+    if isinstance(block, schema.LinearFunction):
+        low = -np.inf if block.lowest is None else block.lowest
+        high = np.inf if block.highest is None else block.highest
+        return Linear(block.value, block.slope, block.reference, low, high)
+    if isinstance(block, schema.TableFunction):
+        return Table(tuple(block.temperatures), tuple(block.values))
+    return Constant(block)
+
+
+def _shape(shape: Any, inside: bool, meshes: Mapping[str, Mesh], key: str) -> Any:
+    if shape.kind == "box":
+        return Box(np.array(shape.min), np.array(shape.max), inside)
+    if shape.kind == "sphere":
+        return Sphere(np.array(shape.center), shape.radius, inside)
+    if shape.kind == "ellipsoid":
+        return Ellipsoid(np.array(shape.center), np.array(shape.semi_axes), inside)
+    if shape.kind == "plane":
+        return Plane(np.array(shape.point), np.array(shape.normal))
+    return ClosedSurface(*closed_surface(meshes[key]), inside)
+
+
+def make_points(scene: PointScene, meshes: Mapping[str, Mesh]) -> Particles:
+    """Points of all bodies as they start.
+
+    Raises
+    ------
+    InputError
+        If a body has no points.
+    """
+    parts = []
+    for number, (name, body) in enumerate(scene.bodies.items()):
+        shape = _shape(body.shape, False, meshes, name)
+        points = sample_particles(
+            shape, scene.grid.cell_size, body.points_per_axis, body.density, body.jitter, body.seed
+        )
+        points.body[:] = number
+        points.phase[:] = LIQUID if body.starts_liquid else SOLID
+        if body.velocity is not None:
+            points.v[:] = body.velocity
+        if body.angular_velocity is not None:
+            _turn(points, body.angular_velocity)
+        if isinstance(body.temperature, schema.TemperatureStart):
+            slope = np.array(body.temperature.gradient)
+            points.temperature[:] = body.temperature.value + (points.x - np.array(body.temperature.at)) @ slope
+            points.temperature_gradient[:] = slope
+        else:
+            points.temperature[:] = body.temperature
+        parts.append(points)
+    return Particles.joined(parts)
+
+
+def _turn(points: Particles, rate: float | tuple[float, ...]) -> None:
+    """Add a rigid rotation about the centre of mass, to velocities and their gradients."""
+    x, y, z = (0.0, 0.0, rate) if isinstance(rate, float) else rate
+    spin = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[: points.dim, : points.dim]
+    center = points.mass @ points.x / points.mass.sum()
+    points.v += (points.x - center) @ spin.T
+    points.affine += spin
+
+
+def make_walls(scene: PointScene, meshes: Mapping[str, Mesh]) -> list[RigidWall]:
+    """Walls; a container is the planes of its sides, which have smooth distances."""
+    walls = []
+    for number, wall in enumerate(scene.walls):
+        velocity = np.zeros(scene.dim) if wall.velocity is None else np.array(wall.velocity)
+        if wall.shape.kind == "box" and wall.inside:
+            inward = np.eye(scene.dim)
+            shapes: list[Any] = [Plane(np.array(wall.shape.min), normal) for normal in inward]
+            shapes += [Plane(np.array(wall.shape.max), -normal) for normal in inward]
+        else:
+            shapes = [_shape(wall.shape, wall.inside, meshes, f"walls-{number}")]
+        walls += [RigidWall(shape, wall.kind, velocity, wall.friction) for shape in shapes]
+    return walls
+
+
+@dataclass(frozen=True)
+class Materials:
+    """What the bodies are made of.
+
+    Attributes
+    ----------
+    laws : mapping
+        By ``(body, phase)``, see `femdeform.mpm.explicit_laws`; liquids with their values at the first temperature.
+    bulk_modulus, viscosity : list of TemperatureFunction
+        Of the liquid phase of each body.
+    tensions : list of SurfaceTension or None
+    capacity, conductivity : (n_bodies,) float64, or None without heat
+    melting : list of Melting or None
+    """
+
+    laws: Laws
+    bulk_modulus: list[TemperatureFunction]
+    viscosity: list[TemperatureFunction]
+    tensions: list[SurfaceTension | None]
+    capacity: FloatArray | None
+    conductivity: FloatArray | None
+    melting: list[Melting | None]
+
+    def at(self, particles: Particles) -> PointMaterials:
+        """Constants of an implicit step."""
+        solids = {body: law for (body, phase), law in self.laws.items() if phase == SOLID}
+        bulk, viscosity = np.zeros(particles.n), np.zeros(particles.n)
+        for number, (stiff, viscous) in enumerate(zip(self.bulk_modulus, self.viscosity, strict=True)):
+            mine = np.flatnonzero(particles.body == number)
+            bulk[mine] = stiff(particles.temperature[mine])
+            viscosity[mine] = viscous(particles.temperature[mine])
+        return PointMaterials(solids, bulk, viscosity)
+
+
+def make_materials(scene: PointScene) -> Materials:
+    """Materials of all bodies."""
+    laws: dict[tuple[int, int], Any] = {}
+    zero = Constant(0.0)
+    bulk: list[TemperatureFunction] = []
+    viscosity: list[TemperatureFunction] = []
+    tensions: list[SurfaceTension | None] = []
+    melting: list[Melting | None] = []
+    for number, body in enumerate(scene.bodies.values()):
+        if body.solid is not None:
+            laws[number, SOLID] = law_for(body.solid, scene.dim)
+        liquid = body.liquid
+        bulk.append(zero if liquid is None else temperature_function(liquid.bulk_modulus))
+        viscosity.append(zero if liquid is None else temperature_function(liquid.viscosity))
+        if liquid is not None:
+            first = (
+                body.temperature.value if isinstance(body.temperature, schema.TemperatureStart) else body.temperature
+            )
+            values = (float(function(np.array([first]))[0]) for function in (bulk[-1], viscosity[-1]))
+            laws[number, LIQUID] = Liquid(*values)
+        tensions.append(None if body.surface_tension is None else _tension(body.surface_tension))
+        melting.append(None if body.melting is None else _melting(body))
+    heats = [body.heat for body in scene.bodies.values()]
+    known = [heat for heat in heats if heat is not None]
+    has_heat = len(known) == len(heats)
+    return Materials(
+        laws,
+        bulk,
+        viscosity,
+        tensions,
+        np.array([heat.capacity for heat in known]) if has_heat else None,
+        np.array([heat.conductivity for heat in known]) if has_heat else None,
+        melting,
+    )
+
+
+def _melting(body: schema.PointBody) -> Melting:
+    assert body.melting is not None
+    assert body.heat is not None
+    block, capacity = body.melting, body.heat.capacity
+    return Melting(block.solidus, block.liquidus, block.latent_heat, capacity, capacity)
+
+
+def _tension(block: schema.SurfaceTensionBlock) -> SurfaceTension:
+    solid_liquid = None if block.solid_liquid is None else temperature_function(block.solid_liquid)
+    if block.contact_angle is not None:
+        assert isinstance(block.liquid_gas, float)
+        solid_liquid = Constant(solid_liquid_coefficient(np.deg2rad(block.contact_angle), block.liquid_gas))
+    regions = tuple((_inside(region.box), temperature_function(region.liquid_gas)) for region in block.regions)
+    return SurfaceTension(temperature_function(block.liquid_gas), solid_liquid, regions, block.on_solid)
+
+
+def _inside(box: tuple[tuple[float, ...], tuple[float, ...]]) -> Callable[[FloatArray], BoolArray]:
+    low, high = (np.array(corner) for corner in box)
+    return lambda points: np.asarray(((points >= low) & (points <= high)).all(axis=1))
+
+
+def heat_boundary(scene: PointScene, of_sample: np.ndarray[Any, np.dtype[np.int32]]) -> HeatBoundary:
+    """What enters through samples of the surface that belong to bodies (n_samples,)."""
+    blocks = [body.heat for body in scene.bodies.values()]
+    assert all(block is not None for block in blocks)
+    heats = [block for block in blocks if block is not None]
+    transfer = np.array([heat.transfer for heat in heats])[of_sample]
+    ambient = np.array([heat.ambient for heat in heats])[of_sample]
+
+    def flux(points: FloatArray, time: float) -> FloatArray:
+        values = np.zeros(len(points))
+        for number, heat in enumerate(heats):
+            here = (of_sample == number) & (time > heat.flux_start)
+            if heat.flux_within is not None:
+                here &= _in_arc(heat.flux_within, points, time)
+            values[here] = heat.flux
+        return values
+
+    return HeatBoundary(transfer, ambient, flux)
+
+
+def _in_arc(arc: schema.MovingArc, points: FloatArray, time: float) -> BoolArray:
+    offset = points[:, :2] - np.array(arc.center)[:2]
+    turn = np.arctan2(offset[:, 1], offset[:, 0]) - arc.start - arc.rate * time
+    return np.asarray(np.abs(np.angle(np.exp(1j * turn))) <= arc.half_angle)
+
+
+def heat_sources(scene: PointScene) -> FloatArray:
+    """Heating of the volume of each body [W/m^3]."""
+    return np.array([0.0 if body.heat is None else body.heat.source for body in scene.bodies.values()])

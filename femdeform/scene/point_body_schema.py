@@ -1,0 +1,233 @@
+"""Bodies of material points, and the walls around them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from femdeform.scene.mesh_schema import MeshSource
+from femdeform.scene.scene_model import Direction, Finite, NonNegative, Positive, SceneModel, Vector, as_tuple
+from femdeform.scene.schema import Material
+from femdeform.scene.selection_schema import check_corners
+
+# ---------------------------------------------------------------------------------------- functions of temperature
+
+
+class LinearFunction(SceneModel):
+    kind: Literal["linear"] = Field(description="linear in the temperature, between two limits")
+    value: Finite = Field(description="value at `reference`, in the unit of what it stands for")
+    slope: Finite = Field(description="change of the value by kelvin, in its unit [1/K]")
+    reference: Finite = Field(description="reference temperature [K]")
+    lowest: Finite | None = Field(default=None, description="lower limit, in the unit of the value")
+    highest: Finite | None = Field(default=None, description="upper limit, in the unit of the value")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LinearFunction:
+        if self.lowest is not None and self.highest is not None and self.lowest > self.highest:
+            raise ValueError(f"highest: must not be below lowest, {self.lowest:g}, not {self.highest:g}")
+        return self
+
+
+class TableFunction(SceneModel):
+    kind: Literal["table"] = Field(description="linear between given temperatures, constant beyond")
+    temperatures: list[Finite] = Field(min_length=1, description="ascending temperatures [K]")
+    values: list[Finite] = Field(min_length=1, description="a value for each, in the unit of what it stands for")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> TableFunction:
+        if len(self.temperatures) != len(self.values):
+            raise ValueError(f"values: {len(self.values)} values for {len(self.temperatures)} temperatures")
+        if any(b <= a for a, b in zip(self.temperatures, self.temperatures[1:], strict=False)):
+            raise ValueError("temperatures: must increase from entry to entry")
+        return self
+
+
+TemperatureLaw = Finite | Annotated[LinearFunction | TableFunction, Field(discriminator="kind")]
+
+
+# ------------------------------------------------------------------------------------------------------- shapes
+
+
+class BoxShape(SceneModel):
+    kind: Literal["box"] = Field(description="axis-parallel box")
+    min: Vector = Field(description="lowest corner [m]")
+    max: Vector = Field(description="highest corner [m]")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> BoxShape:
+        if len(self.min) != len(self.max):
+            raise ValueError(f"max: has {len(self.max)} entries but min has {len(self.min)}")
+        check_corners("max", self.min, self.max)
+        return self
+
+
+class SphereShape(SceneModel):
+    kind: Literal["sphere"] = Field(description="ball, a disc in 2D")
+    center: Vector = Field(description="centre [m]")
+    radius: Positive = Field(description="radius [m]")
+
+
+class EllipsoidShape(SceneModel):
+    kind: Literal["ellipsoid"] = Field(description="axis-parallel ellipsoid, an ellipse in 2D")
+    center: Vector = Field(description="centre [m]")
+    semi_axes: Annotated[list[Positive], Field(min_length=2, max_length=3)] = Field(description="semi-axes [m]")
+
+
+class MeshShape(SceneModel):
+    kind: Literal["mesh"] = Field(description="inside of a closed surface")
+    mesh: MeshSource = Field(description="a closed surface, or a solid whose boundary is one")
+
+
+Shape = Annotated[BoxShape | SphereShape | EllipsoidShape | MeshShape, Field(discriminator="kind")]
+
+
+class PlaneShape(SceneModel):
+    kind: Literal["plane"] = Field(description="half space behind a plane")
+    point: Vector = Field(description="a point of the plane [m]")
+    normal: Direction = Field(description="normal towards the free side, of any length [-]")
+
+
+class PointWall(SceneModel):
+    """A rigid wall, as the grid nodes inside of it see it."""
+
+    shape: Annotated[PlaneShape | BoxShape | SphereShape | EllipsoidShape | MeshShape, Field(discriminator="kind")] = (
+        Field(description="its shape")
+    )
+    inside: bool = Field(default=False, description="true: points are kept inside of it (a container)")
+    kind: Literal["stick", "slip", "separate"] = Field(
+        default="separate", description="nodes move with the wall, along it, or along it and away from it"
+    )
+    friction: NonNegative = Field(default=0.0, description="Coulomb's coefficient, where it slips or separates [-]")
+    velocity: Vector | None = Field(default=None, description="velocity [m/s]")
+
+
+# ------------------------------------------------------------------------------------------------------- bodies
+
+
+class LiquidMaterial(SceneModel):
+    density: Positive = Field(description="mass density at rest [kg/m^3], in 2D [kg/m^2]")
+    bulk_modulus: TemperatureLaw = Field(description="pressure over the loss of volume [Pa]")
+    viscosity: TemperatureLaw = Field(default=0.0, description="dynamic viscosity [Pa s]")
+
+
+class TensionRegion(SceneModel):
+    """Another surface tension in a box."""
+
+    box: Annotated[tuple[Vector, Vector], BeforeValidator(as_tuple)] = Field(
+        description="lowest and highest corner [m]"
+    )
+    liquid_gas: TemperatureLaw = Field(description="tension of the free surface there [N/m]")
+
+
+class SurfaceTensionBlock(SceneModel):
+    liquid_gas: TemperatureLaw = Field(description="tension of the free surface [N/m]")
+    regions: list[TensionRegion] = Field(default_factory=list, description="boxes with a tension of their own")
+    solid_liquid: TemperatureLaw | None = Field(
+        default=None, description="tension where the liquid touches walls [N/m]; default that of the free surface"
+    )
+    contact_angle: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=180.0,
+        description="angle through the liquid, in place of `solid_liquid` and by Young's relation [degrees]",
+    )
+    on_solid: bool = Field(default=False, description="true: solid points have a tension too")
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> SurfaceTensionBlock:
+        if self.solid_liquid is not None and self.contact_angle is not None:
+            raise ValueError("contact_angle: cannot be combined with solid_liquid")
+        if self.contact_angle is not None and not isinstance(self.liquid_gas, float):
+            raise ValueError("contact_angle: needs liquid_gas to be a number; give solid_liquid in its place")
+        return self
+
+
+class MovingArc(SceneModel):
+    """Heating of the surface within a sector that turns about a centre, in the x-y plane."""
+
+    center: Vector = Field(description="centre [m]")
+    half_angle: Positive = Field(description="half of the sector's angle [rad]")
+    start: Finite = Field(default=0.0, description="direction of its middle at time 0, from the x axis [rad]")
+    rate: Finite = Field(default=0.0, description="rate of turning [rad/s]")
+
+
+class HeatBlock(SceneModel):
+    capacity: Positive = Field(description="specific heat [J/(kg K)]")
+    conductivity: NonNegative = Field(description="thermal conductivity [W/(m K)]")
+    transfer: NonNegative = Field(default=0.0, description="heat transfer coefficient of the surface [W/(m^2 K)]")
+    ambient: Finite = Field(default=0.0, description="ambient temperature [K]")
+    flux: Finite = Field(default=0.0, description="heating of the surface whatever its temperature [W/m^2]")
+    flux_within: MovingArc | None = Field(default=None, description="where the flux acts; default: everywhere")
+    flux_start: NonNegative = Field(default=0.0, description="time at which the flux begins [s]")
+    source: Finite = Field(default=0.0, description="heating of the volume [W/m^3]")
+
+
+class MeltingBlock(SceneModel):
+    solidus: Finite = Field(description="temperature below which liquid freezes [K]")
+    liquidus: Finite = Field(description="temperature above which solid melts, not below solidus [K]")
+    latent_heat: NonNegative = Field(default=0.0, description="heat of melting, which needs a band [J/kg]")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> MeltingBlock:
+        if self.liquidus < self.solidus:
+            raise ValueError(f"liquidus: must not be below solidus, {self.solidus:g} [K], not {self.liquidus:g}")
+        if self.latent_heat > 0.0 and self.liquidus == self.solidus:
+            raise ValueError("latent_heat: needs liquidus above solidus, to be spread over the band")
+        return self
+
+
+class TemperatureStart(SceneModel):
+    """A temperature that is linear in space at the start."""
+
+    value: Finite = Field(description="temperature at `at` [K]")
+    gradient: Vector = Field(description="its gradient [K/m]")
+    at: Vector = Field(description="a point [m]")
+
+
+class PointBody(SceneModel):
+    shape: Shape = Field(description="what it fills at the start")
+    points_per_axis: int = Field(default=2, ge=1, le=8, description="points a cell and axis")
+    jitter: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="random displacement of points over half their distance [-]"
+    )
+    seed: int = Field(default=0, ge=0, description="seed of the random displacements")
+    phase: Literal["solid", "liquid"] | None = Field(
+        default=None, description="phase at the start; default that of the only material given"
+    )
+    solid: Material | None = Field(default=None, description="law of the solid phase")
+    liquid: LiquidMaterial | None = Field(
+        default=None, description="the liquid phase; what melts or freezes keeps its mass and its volume at rest"
+    )
+    velocity: Vector | None = Field(default=None, description="velocity at the start [m/s]")
+    angular_velocity: Finite | Vector | None = Field(
+        default=None, description="rate of turning about the centre at the start [rad/s]; a vector in 3D"
+    )
+    temperature: Finite | TemperatureStart = Field(default=0.0, description="temperature at the start [K]")
+    surface_tension: SurfaceTensionBlock | None = Field(default=None, description="tension of its surface")
+    heat: HeatBlock | None = Field(default=None, description="conduction of heat; all bodies have it, or none")
+    melting: MeltingBlock | None = Field(default=None, description="melting and freezing; needs `heat`, both phases")
+
+    @model_validator(mode="after")
+    def _has_its_materials(self) -> PointBody:
+        if self.solid is None and self.liquid is None:
+            raise ValueError("needs `solid` or `liquid`, a material")
+        if self.phase is None and self.solid is not None and self.liquid is not None:
+            raise ValueError("phase: needed where there are both, solid and liquid")
+        if self.phase is not None and getattr(self, self.phase) is None:
+            raise ValueError(f"phase: there is no material `{self.phase}`")
+        if self.melting is not None and (self.heat is None or self.solid is None or self.liquid is None):
+            raise ValueError("melting: needs heat, solid and liquid")
+        return self
+
+    @property
+    def starts_liquid(self) -> bool:
+        """Whether its points are liquid at the start."""
+        return self.phase == "liquid" or (self.phase is None and self.liquid is not None)
+
+    @property
+    def density(self) -> float:
+        """Density of the phase it starts in [kg/m^3]."""
+        material = self.liquid if self.starts_liquid else self.solid
+        assert material is not None
+        return material.density

@@ -1,0 +1,78 @@
+"""The material point benchmark with few points; nothing here depends on how fast anything is."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from femdeform import cli
+from verification.benchmarks import mpm, mpm_case, mpm_tables
+from verification.benchmarks.child_process import Outcome, run_script, skipped
+from verification.benchmarks.mpm import Results
+
+
+@pytest.fixture(autouse=True)
+def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FEMDEFORM_THREADS", "1")
+
+
+def steps(law: str = "neo_hookean", dtype: str = "float64", transfer: str = "apic") -> dict[str, Any]:
+    return mpm_case.steps({"points": 512, "nodes": 16, "law": law, "dtype": dtype, "transfer": transfer})
+
+
+@pytest.mark.parametrize("dtype", mpm.DTYPES)
+def test_steps_are_timed_and_momentum_is_gravity_s(dtype: str) -> None:
+    found = steps(dtype=dtype)
+    assert found["n"] == 512
+    assert 0.0 < sum(found["phases"].values()) < 2.0 * found["time"]["max"]
+    assert found["momentum"] < (1e-11 if dtype == "float64" else 1e-2)
+
+
+@pytest.mark.parametrize(("law", "transfer"), mpm.OTHERS)
+def test_other_materials_and_transfers(law: str, transfer: str) -> None:
+    assert steps(law, transfer=transfer)["momentum"] < 1e-11
+
+
+def test_tables() -> None:
+    data = steps()
+    done = Outcome("done", data)
+    results = Results(mpm.POINTS, mpm.NODES)
+    results.main = {("float64", 2): done, ("float32", 2): Outcome("failed", {}, "it broke")}
+    results.growth = {(512, "float64"): done}
+    results.others = {("liquid", "apic"): done}
+    peer = {"time": data["time"], "n": 512, "threads": 2, "notes": ["version 1"]}
+    results.peers = {"float64": Outcome("done", peer), "float32": skipped("no Taichi")}
+    found = mpm_tables.findings(results)
+    text = "\n".join(table.to_markdown() for table in found.tables)
+    assert "| million points/s, float64 | 5 |" in text
+    assert "1.0 x" in text
+    assert "Taichi, float32 skipped: no Taichi." in text
+    assert "float32, 2 threads failed: it broke." in text
+    assert found.failures == ["('float32', 2): it broke"]
+    json.dumps(found.data)
+
+
+def test_a_peer_without_taichi_is_skipped(tmp_path: Path) -> None:
+    blocked = tmp_path / "taichi.py"
+    blocked.write_text("raise ImportError('not here')\n", encoding="utf-8")
+    script = Path(mpm.__file__).parent / "peers" / "taichi_mpm.py"
+    copy = tmp_path / "run.py"
+    first = f"import sys, runpy; sys.path.insert(0, {str(tmp_path)!r})"
+    copy.write_text(f"{first}\nrunpy.run_path({str(script)!r}, run_name='__main__')", encoding="utf-8")
+    outcome = run_script(Path(sys.executable), copy, {"dtype": "float64"})
+    assert outcome.status == "skipped"
+    assert "Taichi is not installed" in outcome.reason
+
+
+def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FEMDEFORM_BENCH_CELLS", "4")
+    monkeypatch.setenv("FEMDEFORM_BENCH_ONLY", "steps: float64, 1 thread;peers")
+    monkeypatch.setenv("FEMDEFORM_PEERS", str(tmp_path / "none"))
+    assert cli.main(["bench", "mpm", "--out", str(tmp_path)]) == 0
+    data = json.loads((tmp_path / "bench.json").read_text(encoding="utf-8"))["benchmarks"]["mpm"]
+    assert data["main"][0]["n"] == 512
+    assert data["peers"]["float64"]["status"] == "skipped"

@@ -1,0 +1,130 @@
+"""Tables of the material point benchmark."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from verification.benchmarks.child_process import Outcome
+from verification.benchmarks.environment import is_wanted
+from verification.benchmarks.mpm import DTYPES, POINTS, Results
+from verification.benchmarks.mpm_case import DENSITY, DT, MU, PHASES
+from verification.benchmarks.run import Findings
+from verification.benchmarks.tables import Table, add_reasons, megabytes, ratio, seconds
+
+# Million points a second of the main case on two threads.
+AIMS = {"float64": 5.0, "float32": 7.0}
+
+
+def findings(results: Results) -> Findings:
+    """Return everything the cases found, as tables and as data."""
+    summary = (
+        f"A cube of {results.points:,} material points, eight a cell, jittered, in a swirling motion, on a grid of "
+        f"{results.nodes}^3 cells; mu = lambda = {MU:g} Pa, {DENSITY:g} kg/m^3, dt = {DT:g} s, quadratic splines, "
+        "neo-Hookean and APIC where nothing else is said. A step sorts the points by block, brings mass, momentum and "
+        "forces to the grid, and goes back. Medians. Each case runs in a process of its own."
+    )
+    tables = [_main(results), _growth(results), _others(results), _peers(results), _aims(results)]
+    tables = [table for table in tables if table.rows or (table.notes and is_wanted(table.title))]
+    cases = [*results.main.items(), *results.growth.items(), *results.others.items()]
+    failures = [f"{key}: {outcome.reason}" for key, outcome in cases if outcome.status == "failed"]
+    return Findings(summary, tables, _data(results), failures)
+
+
+def speed(outcome: Outcome) -> float:
+    """Million points a second."""
+    return float(outcome.data["n"] / outcome.data["time"]["median"] / 1e6)
+
+
+def _row(name: str, outcome: Outcome) -> list[Any]:
+    data = outcome.data
+    parts = [f"{1e3 * data['phases'][phase]:.1f} ms" for phase in PHASES]
+    return [name, f"{speed(outcome):.2f}", seconds(data["time"]), *parts, f"{data['momentum']:.0e}"]
+
+
+_COLUMNS = ["", "million points/s", "step", *PHASES, "momentum"]
+
+
+def _main(results: Results) -> Table:
+    table = Table(
+        f"Explicit steps of {results.points:,} points",
+        [*_COLUMNS, "memory"],
+        notes=["momentum: what its change beside gravity's is, relative, after all steps."],
+    )
+    for (dtype, threads), outcome in results.main.items():
+        name = f"{dtype}, {threads} thread{'s' if threads > 1 else ''}"
+        add_reasons(table, {name: outcome})
+        if outcome.done:
+            table.rows.append([*_row(name, outcome), megabytes(outcome.data["memory"])])
+    return table
+
+
+def _growth(results: Results) -> Table:
+    table = Table("Growth with the number of points", ["points", *DTYPES, *(f"ns a point, {d}" for d in DTYPES)])
+    for points in sorted({points for points, _ in results.growth}):
+        found = [results.growth.get((points, dtype)) for dtype in DTYPES]
+        done = [outcome if outcome is not None and outcome.done else None for outcome in found]
+        if not any(done):
+            continue
+        actual = next(outcome.data["n"] for outcome in done if outcome is not None)
+        table.rows.append(
+            [
+                f"{actual:,}",
+                *("-" if o is None else seconds(o.data["time"]) for o in done),
+                *("-" if o is None else f"{1e3 / speed(o):.0f}" for o in done),
+            ]
+        )
+    add_reasons(table, {f"{points:,}, {dtype}": outcome for (points, dtype), outcome in results.growth.items()})
+    return table
+
+
+def _others(results: Results) -> Table:
+    table = Table(f"Other materials and transfers, {results.points:,} points, float64", _COLUMNS)
+    for (law, transfer), outcome in results.others.items():
+        add_reasons(table, {f"{law}, {transfer}": outcome})
+        if outcome.done:
+            table.rows.append(_row(f"{law}, {transfer}", outcome))
+    return table
+
+
+def _peers(results: Results) -> Table:
+    table = Table(
+        f"Beside Taichi, {results.points:,} points",
+        ["", "million points/s", "step", "theirs / ours", "threads"],
+        notes=[],
+    )
+    for dtype, outcome in results.peers.items():
+        if not outcome.done:
+            continue
+        own = results.main.get((dtype, outcome.data["threads"]))
+        ours = own.data["time"] if own is not None and own.done else None
+        theirs = outcome.data["time"]
+        row = [f"Taichi, {dtype}", f"{speed(outcome):.2f}", seconds(theirs), ratio(theirs, ours)]
+        table.rows.append([*row, str(outcome.data["threads"])])
+        for note in outcome.data["notes"]:
+            if f"Taichi: {note}." not in table.notes:
+                table.notes.append(f"Taichi: {note}.")
+    add_reasons(table, {f"Taichi, {dtype}": outcome for dtype, outcome in results.peers.items()})
+    return table
+
+
+def _aims(results: Results) -> Table:
+    """What the project set out to reach, beside what was found; nothing depends on it."""
+    table = Table("Aims", ["", "aim", "found"])
+    if results.points != POINTS:
+        return table
+    for dtype, aim in AIMS.items():
+        outcome = results.main.get((dtype, 2))
+        if outcome is not None and outcome.done:
+            table.rows.append([f"million points/s, {dtype}", f"{aim:g}", f"{speed(outcome):.2f}"])
+    return table
+
+
+def _data(results: Results) -> dict[str, Any]:
+    return {
+        "points": results.points,
+        "nodes": results.nodes,
+        "main": [{"dtype": d, "threads": n, **o.as_data()} for (d, n), o in results.main.items()],
+        "growth": [{"points": n, "dtype": d, **o.as_data()} for (n, d), o in results.growth.items()],
+        "others": [{"law": law, "transfer": t, **o.as_data()} for (law, t), o in results.others.items()],
+        "peers": {dtype: outcome.as_data() for dtype, outcome in results.peers.items()},
+    }
