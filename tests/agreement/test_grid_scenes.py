@@ -107,7 +107,7 @@ def test_muscles_in_a_grid_go_with_newton_only(method: str) -> None:
         {"b": scenario.body(mesh, stuff, muscle=muscle)}, grid={"cell_size": CELL}, solver={"method": method}
     )
     if method == "fp_pxpbd":
-        with pytest.raises(InputError, match="muscles in a grid go with projected_newton only"):
+        with pytest.raises(InputError, match="knows no muscles in a grid; use projected_newton"):
             scenario.build(data)
         return
     simulation = scenario.build(data)
