@@ -20,11 +20,13 @@ surface energy (2020), for samples and mirror images without mass.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from femdeform.mpm import group_kernels as kernels
 from femdeform.mpm.grid import Grid, Stencils
+from femdeform.mpm.point_quadrature import consistent_gradients
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.transfers import momentum_to_grid, velocity_to_points
 from femdeform.types import FloatArray, IntArray
@@ -88,6 +90,11 @@ class Groups:
     def samples(self) -> IntArray:
         """Member of each sample."""
         return np.arange(self.n, (self.n + self.owner.size) // 2)
+
+    @cached_property
+    def force_gradients(self) -> FloatArray:
+        """Gradients of points and samples whose forces add up to nothing, see `consistent_gradients` [1/m]."""
+        return consistent_gradients(self.stencils, self.n + self.samples.size)
 
     def arms(self) -> FloatArray:
         """Positions of the members relative to their points, (n_members, dim) [m]."""
@@ -158,5 +165,5 @@ class Groups:
         point[self.points] = np.arange(self.mass.size)
         out = np.empty_like(s.positions)
         kernel = kernels.stress_forces_2d if out.shape[1] == 2 else kernels.stress_forces_3d
-        kernel(np.ascontiguousarray(stress), point, s.gradients, s.offsets, s.entries, out)
+        kernel(np.ascontiguousarray(stress), point, self.force_gradients, s.offsets, s.entries, out)
         return out

@@ -25,11 +25,9 @@ def surface_forces(groups: Groups, samples: SurfaceSamples, k: FloatArray) -> Fl
     """
     stencils, rows = groups.stencils, groups.samples
     weight = k * samples.measure
-    gradients = stencils.gradients[rows]
+    gradients = groups.force_gradients[rows]
     across = np.einsum("rkc,rc->rk", gradients, samples.normals)
     pull = weight[:, None, None] * (across[:, :, None] * samples.normals[:, None, :] - gradients)
     nodes = stencils.nodes[rows].ravel()
-    # Places beyond the support hold any node, with a weight of zero.
-    pull[stencils.weights[rows] == 0.0] = 0.0
     flat = pull.reshape(-1, samples.points.shape[1])
     return np.stack([np.bincount(nodes, column, stencils.n_nodes) for column in flat.T], axis=1)
