@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
-from femdeform.run.result import Frame
+from femdeform.run.frames import BodyFrame
 from femdeform.types import FloatArray
 
 UNITS = {
@@ -57,12 +57,12 @@ class Field:
     is_mark: bool = False
 
 
-def select_field(frame: Frame, name: str | None, place: Path) -> Field:
+def select_field(frame: BodyFrame, name: str | None, place: Path) -> Field:
     """Find a field in a frame.
 
     Parameters
     ----------
-    frame : Frame
+    frame : BodyFrame
         The frame.
     name : str, optional
         ``displacement`` (its norm; the default), ``velocity.x``, ``cauchy_stress.xy``, ``von_mises``,

@@ -19,7 +19,8 @@ from femdeform.post.obstacles import obstacle_shapes, solid_bounds
 from femdeform.post.skin import DrawnFrames
 from femdeform.post.surface import Part, vertex_normals
 from femdeform.post.survey import Setting, resolved_or_empty
-from femdeform.run.result import Frame, Result
+from femdeform.run.frames import BodyFrame
+from femdeform.run.result import Result
 
 MAX_FACES_WITH_EDGES = 50_000
 
@@ -81,7 +82,7 @@ class Stage:
         self.plotter.set_background("white")
         self.plotter.enable_anti_aliasing("msaa", multi_samples=8)
 
-    def show(self, index: int) -> Frame:
+    def show(self, index: int) -> BodyFrame:
         """Show a frame; the first call sets the stage.
 
         Parameters
@@ -91,7 +92,7 @@ class Stage:
 
         Returns
         -------
-        Frame
+        BodyFrame
             The frame shown.
         """
         frame = self._drawn.read(index)
@@ -124,7 +125,7 @@ class Stage:
         """Free the plotter."""
         self.plotter.close()
 
-    def _build(self, frame: Frame, field: Field) -> None:
+    def _build(self, frame: BodyFrame, field: Field) -> None:
         surface = self._setting.surface
         faces = self._mesh(frame, surface.faces, with_faces=True)
         lines = self._mesh(frame, surface.lines, with_faces=False)
@@ -162,7 +163,7 @@ class Stage:
             self._annotate(field)
         self._aim()
 
-    def _show_marks(self, frame: Frame, field: Field) -> None:
+    def _show_marks(self, frame: BodyFrame, field: Field) -> None:
         """Marked nodes as dots in a surface that is drawn as glass."""
         nodes = np.unique(self._setting.surface.faces.nodes)
         dots = frame.positions[nodes[field.values[nodes] > 0.0]]
@@ -188,7 +189,7 @@ class Stage:
             self.plotter.add_text(title, position=(0.03, 0.93), viewport=True, font_size=self._font(16), color=_TEXT)
         self.plotter.add_axes(viewport=(0.84, 0.0, 1.0, 0.2), line_width=2, color=_TEXT)
 
-    def _mesh(self, frame: Frame, part: Part, *, with_faces: bool) -> Any:
+    def _mesh(self, frame: BodyFrame, part: Part, *, with_faces: bool) -> Any:
         mesh = self.pyvista.PolyData(frame.positions[part.nodes])
         if with_faces:
             mesh = self.pyvista.PolyData.from_regular_faces(frame.positions[part.nodes], part.cells)
@@ -247,7 +248,7 @@ class Stage:
             "preference": "cell" if field.on_cells else "point",
         }
 
-    def _add_reference(self, frame: Frame) -> None:
+    def _add_reference(self, frame: BodyFrame) -> None:
         surface, width = self._setting.surface, 1.6 * self._scale
         for part in (surface.outline, surface.lines):
             if len(part.cells):
@@ -275,7 +276,7 @@ class Stage:
                 reset_camera=False,
             )
 
-    def _show_links(self, frame: Frame) -> None:
+    def _show_links(self, frame: BodyFrame) -> None:
         segments = [segment(frame.positions, frame.time) for segment in self._lines]
         for number, ends in enumerate(segments):
             self.plotter.add_mesh(
