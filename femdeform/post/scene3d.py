@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from femdeform.errors import InputError
 from femdeform.post.camera import vertical_axis, view_direction
 from femdeform.post.fields import select_field
+from femdeform.post.setting import resolved_or_empty
 from femdeform.post.skin import DrawnFrames
 from femdeform.post.surface import Part, coarsen, extract_surface
-from femdeform.post.survey import resolved_or_empty
 from femdeform.run.frames import BodyFrame
 from femdeform.run.result import Result
 from femdeform.types import FloatArray, IntArray
