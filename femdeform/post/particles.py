@@ -20,8 +20,8 @@ from femdeform.types import FloatArray
 _PHASES = ["solid", "liquid"]
 # Particles that are looked at to find how far apart they are.
 _SAMPLE = 4000
-# Diameters over distances: a little larger, so that what is dense looks dense.
-_OVERLAP = {2: 1.12, 3: 1.25}
+# Diameters over distances: so large that there are no gaps in a lattice.
+_OVERLAP = {2: 1.42, 3: 1.3}
 # A sprite with a soft rim; what VTK has by default fades out from its middle.
 _DISC = """//VTK::Color::Impl
 float r2 = dot(offsetVCVSOutput.xy, offsetVCVSOutput.xy);
@@ -127,7 +127,8 @@ class ParticleDrawing:
             self._is_set = True
             if field.categorical:
                 names = self._canvas.result.facts.get("bodies") if field.label == "body" else _PHASES
-                numbers = np.unique(np.round([*self._setting.colours, *field.values])).astype(int).tolist()
+                # A movie may begin without some of them.
+                numbers = range(max(len(names) if isinstance(names, list) else 0, int(self._setting.colours[1]) + 1))
                 self._canvas.add_legend(numbers, field.label, names)
             self._canvas.annotate()
             self._canvas.aim()
