@@ -145,7 +145,8 @@ class Canvas:
             known = isinstance(names, list | tuple) and 0 <= number < len(names)
             word = str(names[number]) if known else f"{label} {number}"
             labels.append((f" {word}", category_colour(number)))
-        height = min(0.045 * len(labels), 0.6)
+        # A single label would be too large for the width.
+        height = min(0.045 * len(labels), 0.6) if len(labels) > 1 else 0.025
         self.plotter.add_legend(
             labels, bcolor=None, border=False, size=(0.16, height), loc="center right", face="rectangle"
         )

@@ -36,9 +36,9 @@ def divergence_figure(history: Columns) -> Any | None:
 
 def pressure_figure(history: Columns) -> Any | None:
     """Residual and iterations of the pressure solver in each step; None where there are no such numbers."""
-    return residual_figure(history, "relative residual of the pressure")
+    return residual_figure(history, "residual of pressure")
 
 
 def smoke_figure(history: Columns) -> Any | None:
     """Kinetic energy and amount of smoke over time; None where there are no such numbers."""
-    return panels_figure(history, {"kinetic_energy": "kinetic energy [J]", "smoke": "smoke [m^dim]"})
+    return panels_figure(history, {"kinetic_energy": "kinetic energy [J, in 2D J/m]", "smoke": "smoke [m³, in 2D m²]"})
