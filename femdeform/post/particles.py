@@ -92,9 +92,10 @@ def survey_particles(
 
 
 def spacing(positions: FloatArray, dim: int) -> float:
-    """How far particles (n, 3) are apart [m]: the middle one of the mean distances to their closest 2 dim others.
+    """How far particles (n, 3) are apart [m]: a low one of the mean distances to their closest 2 dim others.
 
-    In a lattice that is its side. Zero for a single particle.
+    In a lattice that is its side: those on its rim, which lack neighbours, are further from others. Zero for a single
+    particle.
     """
     from scipy.spatial import KDTree
 
@@ -103,7 +104,7 @@ def spacing(positions: FloatArray, dim: int) -> float:
         return 0.0
     chosen = positions[:: max(1, len(positions) // _SAMPLE)]
     distances, _ = KDTree(positions).query(chosen, k=n_neighbours + 1)
-    return float(np.median(distances[:, 1:].mean(axis=1)))
+    return float(np.quantile(distances[:, 1:].mean(axis=1), 0.3))
 
 
 class ParticleDrawing:
@@ -150,7 +151,7 @@ class ParticleDrawing:
             canvas.add_legend(range(n), field.label, names)
             options = canvas.category_options(n)
         else:
-            colours = "inferno" if setting.field == "temperature" else "viridis"
+            colours = "plasma" if setting.field == "temperature" else "viridis"
             options = canvas.scale_options(field.label, setting.colours, colours)
         # The balls have colours and shades of their own; a point that nobody sees has the bar.
         point = canvas.pyvista.PolyData(setting.box.mean(axis=0)[None])

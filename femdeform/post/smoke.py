@@ -43,7 +43,6 @@ class SmokeDrawing:
         self._canvas = canvas
         self._largest = colours[1] if colours[1] > 0.0 else 1.0
         self._frame: GridFrame | None = None
-        self._volume: Any = None
 
     def show(self, index: int) -> GridFrame:
         """Show a frame."""
@@ -128,23 +127,23 @@ class SmokeDrawing:
 
     def _show_volume(self, frame: GridFrame) -> None:
         canvas = self._canvas
-        values = as_point_data(to_the_sides(np.asarray(frame.cell_data["density"], dtype=np.float64)))
-        if self._volume is None:
-            self._volume = point_grid(canvas.pyvista, frame)
-            self._volume.point_data["density"] = values
-            # The opacity is that of a voxel.
-            opacity = 1.0 - np.exp(-_THICKNESS / max(frame.shape) * np.linspace(0.0, 1.0, 16))
-            canvas.plotter.add_volume(
-                self._volume,
-                scalars="density",
-                clim=(0.0, self._largest),
-                cmap=["#d8dade", "#d8dade"],
-                opacity=(255.0 * opacity).astype(np.uint8),
-                opacity_unit_distance=float(frame.spacing[0]),
-                show_scalar_bar=False,
-                reset_camera=False,
-            )
-        self._volume.point_data["density"] = values
+        volume = point_grid(canvas.pyvista, frame)
+        volume.point_data["density"] = as_point_data(to_the_sides(np.asarray(frame.cell_data["density"], np.float64)))
+        # The opacity is that of a voxel.
+        opacity = 1.0 - np.exp(-_THICKNESS / max(frame.shape) * np.linspace(0.0, 1.0, 16))
+        canvas.plotter.add_volume(
+            volume,
+            name="smoke",
+            scalars="density",
+            clim=(0.0, self._largest),
+            cmap=["#d8dade", "#d8dade"],
+            opacity=(255.0 * opacity).astype(np.uint8),
+            opacity_unit_distance=float(frame.spacing[0]),
+            shade=True,
+            ambient=0.35,
+            show_scalar_bar=False,
+            reset_camera=False,
+        )
         show_solids(canvas, frame)
 
 
