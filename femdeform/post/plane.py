@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from femdeform.post.canvas import Canvas
 from femdeform.post.fields import Field, select_field
 from femdeform.post.setting import resolved_or_empty
-from femdeform.post.voxels import as_point_data, filled, point_grid, solid_indicator, to_the_sides
+from femdeform.post.voxels import Sheet, as_vtk_order, point_grid, solid_indicator, to_the_sides
 from femdeform.run.frames import GridFrame, of_kind
 from femdeform.types import FloatArray
 
 SOLID, SOLID_EDGE = "#9c9ea3", "#4b4e54"
 _WALL, _OPEN = "#303030", "#c8c8c8"
+# What voxels are in, by the number in the field `solid`.
+_KINDS = ("fluid", "solid")
 _INK = ("#ffffff", "#cfd6dc", "#8494a3", "#465768", "#16212c")
 # Arrows along the longer side of the picture, and the length of the longest one over their distance.
 _ARROWS = 26
@@ -47,21 +49,17 @@ class PlaneDrawing:
         self._canvas = canvas
         self._name = field
         self._colours = colours
-        self._image: Any = None
+        self._sheet: Sheet | None = None
 
     def show(self, index: int) -> GridFrame:
         """Show a frame."""
         result = self._canvas.result
         frame = of_kind(result.read_frame(index), GridFrame, result.frames[index].path)
         field = select_field(frame, self._name, result.folder)
-        is_first = self._image is None
-        if is_first:
-            self._image = point_grid(self._canvas.pyvista, frame)
-        values = field.values.reshape(frame.shape)
-        values = values if field.categorical else filled(values, frame.solid)
-        self._image.point_data["field"] = as_point_data(to_the_sides(values))
-        if is_first:
-            self._build(frame, field)
+        if self._sheet is None:
+            self._sheet = Sheet(self._canvas.pyvista, frame, 2, field)
+            self._build(frame, field, self._sheet)
+        self._sheet.put(frame, field)
         self._show_solids(frame)
         if self._name == "velocity":
             self._show_arrows(frame)
@@ -71,10 +69,10 @@ class PlaneDrawing:
         """All is drawn."""
         return picture
 
-    def _build(self, frame: GridFrame, field: Field) -> None:
+    def _build(self, frame: GridFrame, field: Field, sheet: Sheet) -> None:
         canvas = self._canvas
-        options = canvas.scale_options(field.label, self._colours, colour_map(field, self._name))
-        canvas.plotter.add_mesh(self._image, scalars="field", lighting=False, **options)
+        options = colour_options(canvas, field, self._name, self._colours)
+        canvas.plotter.add_mesh(sheet.mesh, scalars="field", lighting=False, **options)
         boundaries = resolved_or_empty(canvas.result).get("boundaries")
         kinds = boundaries if isinstance(boundaries, dict) else {}
         low, high = frame.box
@@ -96,7 +94,7 @@ class PlaneDrawing:
         if not frame.solid.any() or self._name == "solid":
             return
         grid = point_grid(canvas.pyvista, frame)
-        grid.point_data["inside"] = as_point_data(to_the_sides(solid_indicator(frame.solid)))
+        grid.point_data["inside"] = as_vtk_order(to_the_sides(solid_indicator(frame.solid)))
         surface = grid.extract_surface(algorithm=None)
         for name, mesh, colour in (
             ("solids", surface.clip_scalar(scalars="inside", value=0.5, invert=False), SOLID),
@@ -134,13 +132,15 @@ class PlaneDrawing:
         )
 
 
-def colour_map(field: Field, name: str) -> Any:
-    """Colours for a field: of ink for a density, with white in the middle for signed values."""
-    if field.is_signed:
-        return "RdBu_r"
+def colour_options(canvas: Canvas, field: Field, name: str, colours: tuple[float, float]) -> dict[str, Any]:
+    """Options of ``add_mesh`` for a field: of ink for a density, with white in the middle for signed values."""
+    if field.categorical:
+        canvas.add_legend(range(len(_KINDS)), field.label, _KINDS)
+        return canvas.category_options(len(_KINDS))
+    cmap: Any = "RdBu_r" if field.is_signed else "viridis"
     if name == "density":
-        return importlib.import_module("matplotlib.colors").LinearSegmentedColormap.from_list("ink", _INK)
-    return "viridis"
+        cmap = importlib.import_module("matplotlib.colors").LinearSegmentedColormap.from_list("ink", _INK)
+    return canvas.scale_options(field.label, colours, cmap)
 
 
 def _raised(mesh: Any, by: float) -> Any:

@@ -127,7 +127,7 @@ def _interactive_part(result: Result) -> tuple[str, str]:
 
 def _iterations_part(result: Result) -> str:
     def make() -> str:
-        if result.iterations is None:
+        if result.iterations is None or not len(result.iterations.get("step", ())):
             return ""
         return _plot(plots.iterations_figure(result.iterations), "residual per iteration")
 

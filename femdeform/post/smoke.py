@@ -6,14 +6,17 @@ A window, in which one wants to turn things, has VTK's.
 
 from __future__ import annotations
 
+import sys
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from femdeform.jit import CompilationAnnouncer
 from femdeform.post.canvas import Canvas
 from femdeform.post.slices import show_solids
-from femdeform.post.voxels import as_point_data, point_grid, solid_indicator, to_the_sides
+from femdeform.post.voxels import as_vtk_order, point_grid, solid_indicator, to_the_sides
 from femdeform.run.frames import GridFrame, of_kind
 from femdeform.types import BoolArray, FloatArray
 
@@ -64,7 +67,8 @@ class SmokeDrawing:
             return picture
         height, width = picture.shape[:2]
         view = _View(self._canvas.plotter.camera, width, height, frame)
-        seen = self._look(frame, view)
+        with CompilationAnnouncer(partial(print, file=sys.stderr, flush=True)):
+            seen = self._look(frame, view)
         shown = seen[..., :3] + seen[..., 3:] * (picture / np.float32(255.0))
         return np.asarray(np.rint(255.0 * np.clip(shown, 0.0, 1.0)), dtype=np.uint8)
 
@@ -128,7 +132,7 @@ class SmokeDrawing:
     def _show_volume(self, frame: GridFrame) -> None:
         canvas = self._canvas
         volume = point_grid(canvas.pyvista, frame)
-        volume.point_data["density"] = as_point_data(to_the_sides(np.asarray(frame.cell_data["density"], np.float64)))
+        volume.point_data["density"] = as_vtk_order(to_the_sides(np.asarray(frame.cell_data["density"], np.float64)))
         # The opacity is that of a voxel.
         opacity = 1.0 - np.exp(-_THICKNESS / max(frame.shape) * np.linspace(0.0, 1.0, 16))
         canvas.plotter.add_volume(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
+from femdeform.post.fields import Field
 from femdeform.run.frames import GridFrame
 from femdeform.types import FloatArray
 
@@ -58,9 +59,50 @@ def point_grid(pyvista: Any, frame: GridFrame) -> Any:
     return pyvista.RectilinearGrid(*point_axes(frame))
 
 
-def as_point_data(values: FloatArray) -> FloatArray:
-    """Values of `to_the_sides` in VTK's order, (n_points,)."""
+def as_vtk_order(values: FloatArray) -> FloatArray:
+    """Values as VTK orders them, the first index fastest, (n,)."""
     return np.ravel(values, order="F")
+
+
+class Sheet:
+    """A field on a flat mesh: on the plane of a 2D scene, or half way along an axis of a 3D one.
+
+    Parameters
+    ----------
+    pyvista : module
+        PyVista.
+    frame : GridFrame
+        A frame.
+    across : int
+        The axis across the sheet; 2 for a 2D scene.
+    field : Field
+        The field. What has names has a colour for each voxel; else values are interpolated between centres, and inside
+        of solids they are those of the nearest fluid.
+    """
+
+    def __init__(self, pyvista: Any, frame: GridFrame, across: int, field: Field) -> None:
+        self._across = across
+        axes = point_axes(frame)
+        if field.categorical:
+            axes = [
+                low + side * np.arange(n + 1)
+                for n, side, low in zip(frame.shape, frame.spacing, frame.origin, strict=True)
+            ]
+        axes[across] = np.array([frame.box[:, across].mean()])
+        self.mesh = pyvista.RectilinearGrid(*axes)
+        self.put(frame, field)
+
+    def put(self, frame: GridFrame, field: Field) -> None:
+        """Show the field of a frame."""
+        values = field.values.reshape(frame.shape)
+        if field.categorical:
+            n = frame.shape[self._across]
+            self.mesh.cell_data["field"] = as_vtk_order(values.take([n // 2], axis=self._across))
+            return
+        values = to_the_sides(filled(values, frame.solid))
+        n = values.shape[self._across]
+        middle = values.take([(n - 1) // 2, n // 2], axis=self._across).mean(axis=self._across)
+        self.mesh.point_data["field"] = as_vtk_order(middle)
 
 
 def solid_surface(pyvista: Any, frame: GridFrame) -> Any:
@@ -69,5 +111,5 @@ def solid_surface(pyvista: Any, frame: GridFrame) -> Any:
     for axis in range(3):
         np.moveaxis(indicator, axis, 0)[[0, -1]] = 0.0
     grid = point_grid(pyvista, frame)
-    grid.point_data["inside"] = as_point_data(indicator)
+    grid.point_data["inside"] = as_vtk_order(indicator)
     return grid.contour([0.5], scalars="inside") if frame.solid.any() else pyvista.PolyData()

@@ -130,6 +130,18 @@ def test_frames_without_solids_or_density(tmp_path: Path) -> None:
         view(bare, png=tmp_path / "a.png", field="density")
 
 
+@needs_opengl
+def test_the_voxels_of_solids_one_by_one(flow_2d: Path) -> None:
+    (picture,) = draw(flow_2d, [0], "solid")
+    rose = (picture[..., 0] > 220) & (abs(picture[..., 1] - 0x66) < 20)
+    rows, columns = np.nonzero(rose)
+    # A box of so many voxels, and its sides are sharp.
+    frame = Result.open(flow_2d).read_frame(0)
+    n_across, n_up = (len(np.unique(index)) for index in np.nonzero(frame.solid)[:2])
+    assert np.ptp(columns) / np.ptp(rows) == pytest.approx(n_across / n_up, rel=0.08)
+    assert len(rows) > 0.95 * (np.ptp(rows) + 1) * (np.ptp(columns) + 1)
+
+
 # ------------------------------------------------------------------------------------------------------- space
 
 
