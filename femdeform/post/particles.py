@@ -178,6 +178,8 @@ class ParticleDrawing:
             lighting=False,
             reset_camera=False,
         )
+        # VTK takes sprites for translucent, and draws those behind over those in front.
+        actor.ForceOpaqueOn()
         actor.mapper.SetScaleFactor(setting.radius)
         # What is drawn for each particle is no larger than it has to be; older VTK has another name for it.
         getattr(actor.mapper, "SetBoundScale", lambda factor: None)(1.0)

@@ -124,6 +124,18 @@ def test_particles_in_space_are_lit_from_above(drops_3d: Path) -> None:
 
 
 @needs_opengl
+def test_particles_in_front_hide_those_behind(tmp_path: Path) -> None:
+    n = 10
+    along = np.arange(n)
+    in_core = (along >= 2) & (along < n - 2)
+    core = in_core[:, None, None] & in_core[None, :, None] & in_core[None, None, :]
+    folder = record_particles(tmp_path / "r", 3, n=n, body=np.tile(core.ravel(), 2).astype(np.int32))
+    (picture,) = draw(folder, [0], "body")
+    assert like(picture, BLUE).sum() > 3000
+    assert not like(picture, ROSE).any()
+
+
+@needs_opengl
 def test_walls_are_drawn(drops_2d: Path) -> None:
     picture, _ = draw(drops_2d, [0, 2])  # the second one reaches below the wall
     grey = (np.ptp(picture, axis=2) < 40) & (picture.max(axis=2) < 200) & (picture.min(axis=2) > 90)
