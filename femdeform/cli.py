@@ -212,7 +212,7 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="N",
         help="frame, from 0; negative counts from the end (default: the last)",
     )
-    view.add_argument("--field", metavar="NAME", help="field to colour by, such as displacement or von_mises")
+    view.add_argument("--field", metavar="NAME", help="field to show, such as von_mises, vorticity or temperature")
 
     report = add("report", _report, "write one self-contained HTML page about a result", _REPORT_EPILOG)
     report.add_argument("result", type=Path, metavar="RESULT", help="result folder")
@@ -385,6 +385,7 @@ examples:
   femdeform view results/beam
   femdeform view results/beam --png beam.png --field von_mises
   femdeform view results/beam --movie beam.mp4
+  femdeform view results/plume --field vorticity --png plume.png
 """
 
 
@@ -414,7 +415,7 @@ def _report(arguments: argparse.Namespace) -> int:
 
     print(write_report(arguments.result, arguments.out))
     if arguments.plots:
-        from femdeform.post.plots import write_plots
+        from femdeform.post.run_plots import write_plots
 
         for path in write_plots(arguments.result):
             print(path)

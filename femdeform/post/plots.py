@@ -1,18 +1,16 @@
-"""Plots of a run over its steps and iterations: files in ``plots/``, and figures for the report."""
+"""Plots of a run over its steps and iterations, as figures."""
 
 from __future__ import annotations
 
 import importlib
+from collections.abc import Mapping
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.errors import MissingDependencyError
-from femdeform.run import atomic
-from femdeform.run.result import Result
 from femdeform.types import FloatArray
 
 Columns = dict[str, NDArray[Any]]
@@ -24,68 +22,41 @@ _ENERGIES = (
     ("potential_energy", "potential of the loads", "#228833"),
     ("contact_energy", "contact", "#ccbb44"),
 )
+_KNOWN = tuple(name for name, _, _ in _ENERGIES)
+_FURTHER = ("#66ccee", "#ee9944", "#888888", "#8a5a3b")
+_MAX_PANELS = 8  # more make the figure too high
 _MAX_CURVES = 12  # steps in the plot of the iterations: more cannot be told apart
-_MARKED = 60  # points up to which each is marked
-
-
-def write_plots(result: Path) -> list[Path]:
-    """Write ``plots/energy.png``, ``plots/residual.png`` and, for a traced run, ``plots/iterations.png``.
-
-    Parameters
-    ----------
-    result : Path
-        Result folder.
-
-    Returns
-    -------
-    list of Path
-        Files written; a plot for which the run left no numbers is left out.
-
-    Raises
-    ------
-    InputError
-        If the folder is not a result, or its tables are missing or corrupt.
-    MissingDependencyError
-        If matplotlib cannot be imported.
-    OutputError
-        If a file cannot be written.
-    """
-    opened = Result.open(result)
-    figures = {"energy": energy_figure(opened.history), "residual": residual_figure(opened.history)}
-    if opened.iterations is not None:
-        figures["iterations"] = iterations_figure(opened.iterations)
-    folder = opened.folder / "plots"
-    atomic.make_folder(folder)
-    written = []
-    for name, figure in figures.items():
-        if figure is not None:
-            path = folder / f"{name}.png"
-            atomic.write_bytes(path, figure_bytes(figure, "png"))
-            written.append(path)
-    return written
+MARKED = 60  # points up to which each is marked
 
 
 def energy_figure(history: Columns) -> Any | None:
-    """Kinetic, elastic, potential and total energy over time; None where there are no such numbers.
+    """Kinetic, elastic, potential, further and total energy over time; None where there are no such numbers.
 
     Parameters
     ----------
     history : dict of str to (n_steps,) arrays
         As from `Result.history`.
     """
-    curves = [(_numbers(history, name), label, colour) for name, label, colour in _ENERGIES]
+    curves = [(numbers_of(history, name), label, colour) for name, label, colour in _ENERGIES]
+    others = sorted(name for name in history if name.endswith("_energy") and name not in (*_KNOWN, "total_energy"))
+    curves += [
+        (numbers_of(history, name), name.removesuffix("_energy").replace("_", " "), _FURTHER[i % len(_FURTHER)])
+        for i, name in enumerate(others)
+    ]
     known = [curve for curve in curves if np.any(np.isfinite(curve[0]))]
     # A quasistatic run has no kinetic energy, one without loads no potential: lines along zero say nothing.
     present = [curve for curve in known if np.any(curve[0][np.isfinite(curve[0])])] or known
-    time = _numbers(history, "time")
+    time = numbers_of(history, "time")
     if not present or not np.any(np.isfinite(time)):
         return None
     figure, axes = new_figure(1)
-    marker = "." if len(time) <= _MARKED else ""
+    marker = "." if len(time) <= MARKED else ""
     for values, label, colour in present:
         axes[0].plot(time, values, color=colour, label=label, marker=marker, linewidth=1.6)
     if len(present) > 1:
-        total = np.sum([values for values, _, _ in present], axis=0)
+        total = numbers_of(history, "total_energy")
+        if not np.any(np.isfinite(total)):
+            total = np.sum([values for values, _, _ in present], axis=0)
         axes[0].plot(time, total, color="#222222", label="total", linewidth=1.2, linestyle="--")
     axes[0].set_xlabel("time [s]")
     axes[0].set_ylabel("energy [J]")
@@ -94,18 +65,26 @@ def energy_figure(history: Columns) -> Any | None:
     return figure
 
 
-def residual_figure(history: Columns) -> Any | None:
-    """Relative residual at the end of each step, and iterations it took; None where there are no numbers."""
-    step, residual = _numbers(history, "step"), positive(_numbers(history, "relative_residual"))
-    iterations = _numbers(history, "iterations")
+def residual_figure(history: Columns, label: str = "relative residual") -> Any | None:
+    """Relative residual at the end of each step, and iterations it took; None where there are no numbers.
+
+    Parameters
+    ----------
+    history : dict of str to (n_steps,) arrays
+        As from `Result.history`.
+    label : str
+        What the residual is called.
+    """
+    step, residual = numbers_of(history, "step"), positive(numbers_of(history, "relative_residual"))
+    iterations = numbers_of(history, "iterations")
     if not np.any(np.isfinite(residual)) and not np.any(np.isfinite(iterations)):
         return None
     figure, axes = new_figure(2)
-    marker = "." if len(step) <= _MARKED else ""
+    marker = "." if len(step) <= MARKED else ""
     axes[0].plot(step, residual, color="#4477aa", marker=marker, linewidth=1.4)
     if np.any(np.isfinite(residual)):
         axes[0].set_yscale("log")
-    axes[0].set_ylabel("relative residual")
+    axes[0].set_ylabel(label)
     if len(step) <= 400:
         axes[1].bar(step, iterations, color="#66ccee", width=0.8)
     else:
@@ -127,8 +106,8 @@ def iterations_figure(iterations: Columns) -> Any | None:
         As from `Result.iterations`. The attempts of a step that was repeated with a smaller dt are curves of
         their own.
     """
-    step, number = _numbers(iterations, "step"), _numbers(iterations, "iteration")
-    residual = positive(_numbers(iterations, "relative_residual"))
+    step, number = numbers_of(iterations, "step"), numbers_of(iterations, "iteration")
+    residual = positive(numbers_of(iterations, "relative_residual"))
     if not np.any(np.isfinite(residual)):
         return None
     # A new curve begins where the step changes or the count of iterations starts again.
@@ -188,7 +167,37 @@ def _matplotlib() -> Any:
         raise MissingDependencyError(f"plots need matplotlib, which cannot be imported ({error})") from error
 
 
-def _numbers(columns: Columns, name: str) -> FloatArray:
+def measured_figure(history: Columns) -> Any | None:
+    """What the scene measures over time, a panel each; None where it measures nothing."""
+    names = [name for name in history if name.startswith("measure.")]
+    return panels_figure(history, {name: name.removeprefix("measure.") for name in names})
+
+
+def panels_figure(history: Columns, labels: Mapping[str, str]) -> Any | None:
+    """Columns over time, a panel each, one below the other; None where there are no such numbers.
+
+    Parameters
+    ----------
+    history : dict of str to (n_steps,) arrays
+        As from `Result.history`.
+    labels : mapping of str to str
+        Labels of the axes by the name of the column.
+    """
+    time = numbers_of(history, "time")
+    shown = [name for name in labels if np.any(np.isfinite(numbers_of(history, name)))][:_MAX_PANELS]
+    if not shown or not np.any(np.isfinite(time)):
+        return None
+    figure, axes = new_figure(len(shown))
+    marker = "." if len(time) <= MARKED else ""
+    for ax, name in zip(axes, shown, strict=True):
+        ax.plot(time, numbers_of(history, name), color="#4477aa", marker=marker, linewidth=1.4)
+        ax.set_ylabel(labels[name])
+        ax.ticklabel_format(axis="y", scilimits=(-3, 4))
+    axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def numbers_of(columns: Columns, name: str) -> FloatArray:
     """A column as numbers; NaN where it is missing or holds text."""
     n_rows = len(next(iter(columns.values()), ()))
     column = columns.get(name)

@@ -33,7 +33,10 @@ def view(
     frame: int | None = None,
     field: str | None = None,
 ) -> list[Path]:
-    """Draw a result: the deformed bodies coloured by a field, over the outline of their reference shape.
+    """Draw a result, coloured by a field.
+
+    Deformable bodies are drawn over the outline of their reference shape, fields of a flow as an image in the plane, as
+    smoke or on slices in space, particles as discs or balls.
 
     With neither `png` nor `movie` a window opens; where there is no display, ``view.png`` is written into the
     result folder instead, and a line on stderr says so.
@@ -50,8 +53,10 @@ def view(
         Frame of the picture or of the window, counted from 0, negative numbers from the end; default: the
         last.
     field : str, optional
-        Field to colour by: ``displacement`` (its norm, the default), ``velocity``, ``displacement.y``,
-        ``cauchy_stress.xx``, ``von_mises``, ``body``: whatever the frames hold.
+        Field to colour by: ``displacement`` (its norm, the default for bodies), ``velocity``, ``displacement.y``,
+        ``cauchy_stress.xx``, ``von_mises``, ``body``, ``density`` (the default for flows), ``vorticity``,
+        ``temperature``: whatever the frames hold. Flows and particles with a velocity have a ``speed`` too, flows a
+        ``vorticity``.
 
     Returns
     -------

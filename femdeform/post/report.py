@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from femdeform.post.report_tables import (
     verdict_table,
     versions_table,
 )
+from femdeform.post.run_plots import Plot, plots_of
 from femdeform.post.scene3d import interactive_data
 from femdeform.run import atomic
 from femdeform.run.result import Result
@@ -73,8 +75,7 @@ def _page(result: Result) -> str:
         "</div>",
         section("Expectations", verdict_table(facts.get("expect"))),
         '<div class="columns">',
-        section("Energy", guarded(lambda: _plot(plots.energy_figure(result.history), "energy"))),
-        section("Residual", guarded(lambda: _plot(plots.residual_figure(result.history), "residual"))),
+        *(section(plot.title, guarded(partial(_history_plot, result, plot))) for plot in plots_of(result)),
         "</div>",
         _iterations_part(result),
         section("Scene", guarded(lambda: _scene_text(result.resolved_text))),
@@ -100,7 +101,8 @@ def _pictures(result: Result) -> str:
 def _interactive_part(result: Result) -> tuple[str, str]:
     """The section with the view, and the scripts for the end of the page."""
     try:
-        if not result.frames:
+        # Smoke and particles have no surface to turn around.
+        if result.simulation != "deformable" or not result.frames:
             return "", ""
         data = interactive_data(result)
         library = _plotly_source()
@@ -125,11 +127,16 @@ def _interactive_part(result: Result) -> tuple[str, str]:
 
 def _iterations_part(result: Result) -> str:
     def make() -> str:
-        if result.iterations is None:
+        if result.iterations is None or not len(result.iterations.get("step", ())):
             return ""
         return _plot(plots.iterations_figure(result.iterations), "residual per iteration")
 
     return section("Convergence within steps", guarded(make))
+
+
+def _history_plot(result: Result, plot: Plot) -> str:
+    figure = plot.make(result.history)
+    return "" if figure is None and not plot.always else _plot(figure, plot.title.lower())
 
 
 def _plot(figure: Any | None, description: str) -> str:

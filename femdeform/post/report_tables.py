@@ -49,6 +49,8 @@ def numbers_table(history: Mapping[str, NDArray[Any]]) -> str:
     add("iterations, most in a step", "iterations", np.max)
     add("linear iterations, total", "linear_iterations", np.sum)
     add("largest relative residual", "relative_residual", np.max)
+    add("largest divergence [1/s]", "divergence", np.max)
+    add("parts of steps, total", "substeps", np.sum)
     add("smallest dt [s]", "dt", np.min)
     return _two_columns(rows)
 
@@ -56,7 +58,7 @@ def numbers_table(history: Mapping[str, NDArray[Any]]) -> str:
 def settings_table(resolved: Mapping[str, Any]) -> str:
     """Time scheme and solvers of the resolved scene, a row for each key."""
     rows: list[tuple[str, Any]] = [("simulation", resolved["simulation"])] if "simulation" in resolved else []
-    for block in ("time", "solver", "linear_solver", "on_failure"):
+    for block in ("grid", "boundaries", "time", "solver", "linear_solver", "on_failure"):
         if isinstance(resolved.get(block), Mapping):
             rows += _flat(block, resolved[block])
     return _two_columns(rows)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from femdeform.errors import InputError
 from femdeform.post.camera import vertical_axis, view_direction
 from femdeform.post.fields import select_field
+from femdeform.post.setting import resolved_or_empty
 from femdeform.post.skin import DrawnFrames
 from femdeform.post.surface import Part, coarsen, extract_surface
-from femdeform.post.survey import resolved_or_empty
-from femdeform.run.result import Frame, Result
+from femdeform.run.frames import BodyFrame
+from femdeform.run.result import Result
 from femdeform.types import FloatArray, IntArray
 
 MAX_TRIANGLES = 60_000
@@ -99,7 +100,7 @@ def interactive_data(result: Result) -> str:
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
-def _frame_part(frame: Frame, nodes: IntArray) -> tuple[float, FloatArray, FloatArray]:
+def _frame_part(frame: BodyFrame, nodes: IntArray) -> tuple[float, FloatArray, FloatArray]:
     return frame.time, frame.positions[nodes], np.linalg.norm(frame.displacement[nodes], axis=1)
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from femdeform.run.result import Frame, Result
+from femdeform.run.frames import BodyFrame, of_kind
+from femdeform.run.result import Result
 from femdeform.run.skin import Skin, read_skins
 from femdeform.types import IntArray
 
@@ -31,7 +32,7 @@ class DrawnFrames:
         self._result = result
         self._skins = read_skins(result.folder)
 
-    def read(self, i: int) -> Frame:
+    def read(self, i: int) -> BodyFrame:
         """Read a frame as `Result.read_frame` does, and put the skins on.
 
         Raises
@@ -39,13 +40,13 @@ class DrawnFrames:
         InputError
             If the frame cannot be read.
         """
-        frame = self._result.read_frame(i)
+        frame = of_kind(self._result.read_frame(i), BodyFrame, self._result.folder)
         for skin in self._skins:
             frame = dress(frame, skin)
         return frame
 
 
-def dress(frame: Frame, skin: Skin) -> Frame:
+def dress(frame: BodyFrame, skin: Skin) -> BodyFrame:
     """A frame in which a surface stands in place of its body.
 
     Fields at points are interpolated as displacements are; fields of cells are those of the cell that the first corner

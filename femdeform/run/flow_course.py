@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.errors import InputError
+from femdeform.flow.curl import vorticity
 from femdeform.flow.mac_grid import ProjectionReport
 from femdeform.run.checkpoint import START_ANEW
 from femdeform.run.course import Columns, Fields, FrameData
@@ -155,7 +156,7 @@ class FlowCourse:
             elif name == "speed":
                 cells[name] = [np.linalg.norm(velocity, axis=-1)]
             elif name == "vorticity":
-                cells[name] = [_vorticity(velocity, grid.spacing, grid.dim)]
+                cells[name] = [vorticity(velocity, grid.spacing, grid.dim)]
             elif name == "solid":
                 cells[name] = [self.flow.is_solid.astype(np.uint8)]
             elif name == "divergence":
@@ -241,15 +242,3 @@ class FlowCourse:
 def _copies(velocity: list[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
     u, v, w = (component.copy() for component in velocity)
     return u, v, w
-
-
-def _vorticity(velocity: FloatArray, spacing: float, dim: int) -> FloatArray:
-    """Curl of the velocity at the centres [1/s]: (nx, ny, nz, 3), in the plane its z component (nx, ny, nz)."""
-
-    def slope(component: int, axis: int) -> FloatArray:
-        return np.asarray(np.gradient(velocity[..., component], spacing, axis=axis))
-
-    z = slope(1, 0) - slope(0, 1)
-    if dim == 2:
-        return z
-    return np.stack([slope(2, 1) - slope(1, 2), slope(0, 2) - slope(2, 0), z], axis=-1)

@@ -19,9 +19,9 @@ from femdeform.run import atomic, result_folder
 from femdeform.run.course import FrameWriter
 from femdeform.run.plain import to_yaml
 from femdeform.run.table import Table, Value, last_step, time_of_step, truncate_table
+from femdeform.run.vtk_reader import read_pvd, read_time
 from femdeform.run.vtk_xml import write_pvd
 from femdeform.run.vtu import CellData
-from femdeform.run.vtu_reader import read_pvd, read_time
 
 ITERATION_COLUMNS = (
     "step",

@@ -9,13 +9,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
+from femdeform.run.frames import Frame, load_frame
 from femdeform.run.table import read_table
-from femdeform.run.vtu_reader import VTUContents, read_pvd, read_vtu
-from femdeform.types import FloatArray, IntArray
+from femdeform.run.vtk_reader import read_pvd
+
+# Endings of the frames by the kind of the simulation.
+_ENDINGS = {"deformable": ".vtu", "material_points": ".vtp", "incompressible_flow": ".vti"}
 
 
 class FrameEntry(NamedTuple):
@@ -24,39 +26,6 @@ class FrameEntry(NamedTuple):
     number: int
     time: float
     path: Path
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One frame; arrays are read-only.
-
-    Attributes
-    ----------
-    time : float
-        Time [s].
-    points : (n_points, 3) float64
-        Reference positions [m], z = 0 for a 2D scene.
-    displacement : (n_points, 3) float64
-        Displacements [m].
-    blocks : list of (name, (n_cells, k) int64)
-        Cells by type, in VTK's order of nodes; neighbouring blocks of one type are one.
-    point_data : dict of str to (n_points,) or (n_points, k) arrays
-        All point data, `displacement` among them.
-    cell_data : dict of str to list of arrays
-        An array per block.
-    """
-
-    time: float
-    points: FloatArray
-    displacement: FloatArray
-    blocks: list[tuple[str, IntArray]]
-    point_data: dict[str, NDArray[Any]]
-    cell_data: dict[str, list[NDArray[Any]]]
-
-    @property
-    def positions(self) -> FloatArray:
-        """Deformed positions [m], (n_points, 3)."""
-        return self.points + self.displacement
 
 
 @dataclass(frozen=True)
@@ -101,6 +70,11 @@ class Result:
         if not isinstance(facts, dict) or not isinstance(facts.get("status"), str):
             raise _fault(path, "the file is corrupt (there is no status in it)")
         return cls(folder=folder, facts=facts)
+
+    @property
+    def simulation(self) -> str:
+        """The kind of the simulation: ``deformable``, ``incompressible_flow``, ``material_points``."""
+        return str(self.facts.get("simulation") or "deformable")
 
     @cached_property
     def history(self) -> dict[str, NDArray[Any]]:
@@ -191,6 +165,11 @@ class Result:
         i : int
             Position in `frames`; negative numbers count from the end.
 
+        Returns
+        -------
+        Frame
+            A `BodyFrame`, `GridFrame` or `ParticleFrame`, as the simulation is.
+
         Raises
         ------
         InputError
@@ -201,35 +180,20 @@ class Result:
             known = f"it has frames 0 to {n_frames - 1}" if n_frames else "it has no frames"
             raise _fault(self.folder, f"there is no frame {i} in this result: {known}")
         entry = self.frames[i]
-        return _as_frame(entry.path, read_vtu(entry.path), entry.time)
+        return load_frame(entry.path, entry.time)
 
     def read_final(self) -> Frame:
-        """Read ``final.vtu``, the last accepted state of a run that has ended.
+        """Read the last accepted state of a run that has ended: ``final.vtu``, or ``.vtp``, ``.vti``.
 
         Raises
         ------
         InputError
             If the file is missing (the run has not ended) or corrupt.
         """
-        path = self.folder / "final.vtu"
-        if not path.exists():
-            raise _fault(self.folder, f"there is no final.vtu: the run's status is {self.facts['status']}")
-        contents = read_vtu(path)
-        return _as_frame(path, contents, contents.time)
-
-
-def _as_frame(path: Path, contents: VTUContents, time: float) -> Frame:
-    displacement = contents.point_data.get("displacement")
-    if displacement is None or displacement.shape != contents.points.shape:
-        raise _fault(path, "the file is corrupt (there is no displacement in it)")
-    return Frame(
-        time=time,
-        points=contents.points,
-        displacement=np.asarray(displacement, dtype=np.float64),
-        blocks=contents.blocks,
-        point_data=contents.point_data,
-        cell_data=contents.cell_data,
-    )
+        expected = f"final{_ENDINGS.get(self.simulation, '.vtu')}"
+        if not (self.folder / expected).exists():
+            raise _fault(self.folder, f"there is no {expected}: the run's status is {self.facts['status']}")
+        return load_frame(self.folder / expected)
 
 
 def _fault(path: Path, message: str) -> InputError:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_results import block, quadratic, record
+from made_results import block, quadratic, record, record_flow, record_particles
 
 from femdeform.run.vtu import FrameMesh
 
@@ -66,3 +66,27 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
     facts = {"obstacles": [{"kind": "plane", "point": [0, -0.2], "normal": [0, 1]}]}
     folder = tmp_path_factory.mktemp("results") / "plane"
     return record(folder, mesh, lambda time: 0.2 * time * points, facts=facts, gravity=[0.0, -9.81])
+
+
+@pytest.fixture(scope="session")
+def flow_2d(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Smoke beside a solid in the plane."""
+    return record_flow(tmp_path_factory.mktemp("results") / "flow_2d", (24, 32, 1), "Smoke in the plane")
+
+
+@pytest.fixture(scope="session")
+def flow_3d(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Smoke beside a solid in space."""
+    return record_flow(tmp_path_factory.mktemp("results") / "flow_3d", (16, 20, 16), "Smoke in space")
+
+
+@pytest.fixture(scope="session")
+def drops_2d(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Particles in the plane."""
+    return record_particles(tmp_path_factory.mktemp("results") / "drops_2d", 2)
+
+
+@pytest.fixture(scope="session")
+def drops_3d(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Particles in space."""
+    return record_particles(tmp_path_factory.mktemp("results") / "drops_3d", 3)

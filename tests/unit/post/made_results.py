@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from femdeform.run import flow_course
 from femdeform.run.deformable import COLUMNS
 from femdeform.run.recorder import Recorder
+from femdeform.run.vti import VTIWriter
+from femdeform.run.vtp import VTPWriter
 from femdeform.run.vtu import FrameMesh, VTUWriter
 
 N_FRAMES = 5
@@ -76,4 +79,78 @@ def record(
         recorder.frame(step, time, {"displacement": displacement, "velocity": 2.0 * displacement}, fields)
     verdict = {"quantity": "volume_ratio", "computed": 1.01, "expected": 1.0, "rtol": 0.02, "passed": True}
     recorder.finish(status, reason, {"wall_seconds": 12.5, "expect": [verdict]}, {"displacement": move(1.0)})
+    return folder
+
+
+def record_flow(folder: Path, shape: tuple[int, int, int], title: str = "Smoke", without: tuple[str, ...] = ()) -> Path:
+    """Three frames of a ball of smoke that rises along y beside a solid block, in a grid 1 m wide; 2D if shape[2] is 1.
+
+    The velocity turns like a wheel: (-y, x), vorticity 2. `without` names fields that are left out.
+    """
+    side = 1.0 / shape[0]
+    recorder = Recorder(folder, VTIWriter(shape, side, (0.0, 0.0, 0.0)), flow_course.COLUMNS)
+    boundaries = {name: "open" if name == "top" else "wall" for name in ("left", "right", "bottom", "top")}
+    resolved = {"title": title, "simulation": "incompressible_flow", "boundaries": boundaries, "time": {"dt": 0.5}}
+    recorder.start(resolved, {"title": title, "simulation": "incompressible_flow", "solids": ["block"], "n_dofs": 7})
+    axes = [side * (np.arange(n) + 0.5) for n in shape]
+    x, y, z = np.meshgrid(*axes, indexing="ij")
+    middle = axes[2].mean()
+    solid = (x > 0.7) & (x < 0.9) & (y > 0.4) & (y < 0.6) & (abs(z - middle) < 0.2)
+    velocity = np.stack([-y, x, 0.0 * x], axis=-1)[..., : 2 if shape[2] == 1 else 3]
+    cells: dict[str, list[np.ndarray]] = {}
+    for step in range(3):
+        time = 0.5 * step
+        distance = np.sqrt((x - 0.3) ** 2 + (y - 0.25 - 0.4 * time) ** 2 + (z - middle) ** 2)
+        density = np.where(solid, 0.0, np.clip(1.5 - distance / 0.12, 0.0, 1.0))
+        cells = {"density": [density], "velocity": [velocity], "solid": [solid.astype(np.uint8)]}
+        cells = {name: values for name, values in cells.items() if name not in without}
+        if step:
+            row = {"dt": 0.5, "substeps": 2, "iterations": 5, "relative_residual": 1e-7 * step, "seconds": 0.1}
+            found = {
+                "divergence_before": 2.0,
+                "divergence": 1e-6,
+                "imbalance": 0.0,
+                "kinetic_energy": time,
+                "smoke": 0.1,
+            }
+            recorder.step(
+                {"step": step, "time": time, "smoke": 0.1, **row, **found, "measure.height": 0.25 + 0.4 * time}
+            )
+        recorder.frame(step, time, {}, cells)
+    recorder.finish("done", "", {"wall_seconds": 1.5}, {}, cells)
+    return folder
+
+
+def record_particles(folder: Path, dim: int, n: int = 12, **more: np.ndarray) -> Path:
+    """Three frames of two blocks of n^dim particles, 0.6 m wide and 0.05 m apart if n is 12, that fall beside a wall.
+
+    The lower block melts: its phase is 1 from the second frame on. `more` are further fields.
+    """
+    columns = ("step", "time", "dt", "iterations", "relative_residual", "kinetic_energy", "elastic_energy")
+    recorder = Recorder(folder, VTPWriter(), columns)
+    side = 0.6 / n
+    block = side * (np.stack(np.meshgrid(*[np.arange(n)] * dim, indexing="ij"), axis=-1).reshape(-1, dim) + 0.5)
+    up = np.eye(dim)[1]
+    rest = np.concatenate([block, block + 1.0 * up])
+    body = np.repeat(np.array([0, 1], dtype=np.int32), len(block))
+    wall = {"kind": "plane", "point": [0.0] * dim, "normal": up.tolist()}
+    facts = {"title": "Drops", "simulation": "material_points", "bodies": ["low", "high"], "obstacles": [wall]}
+    recorder.start({"title": "Drops", "simulation": "material_points", "gravity": (-9.81 * up).tolist()}, facts)
+    data: dict[str, np.ndarray] = {}
+    for step in range(3):
+        time = 0.1 * step
+        data = {
+            "position": rest + 0.3 * (1 - step) * up,
+            "velocity": np.tile(-9.81 * time * up, (len(rest), 1)) * (1.0 + body[:, None]),
+            "temperature": 300.0 + 100.0 * body + 10.0 * step,
+            "phase": ((body == 0) & (step > 0)).astype(np.int8),
+            "body": body,
+            **more,
+        }
+        if step:
+            row = {"dt": 0.1, "iterations": 3, "relative_residual": 1e-8, "surface_energy": 0.3, "n_particles": 2 * n}
+            energies = {"kinetic_energy": time, "elastic_energy": time**2}
+            recorder.step({"step": step, "time": time, **row, **energies, "measure.height": 1.0 - time})
+        recorder.frame(step, time, data)
+    recorder.finish("done", "", {"wall_seconds": 1.5}, data)
     return folder

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from femdeform.errors import InputError
-from femdeform.post import plots
+from femdeform.post import plots, run_plots
 from femdeform.run.result import Result
 
 
 def test_files_of_a_run(beam: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(beam, tmp_path / "copy")
-    written = plots.write_plots(copy)
+    written = run_plots.write_plots(copy)
     assert written == [copy / "plots" / f"{name}.png" for name in ("energy", "residual", "iterations")]
     for path in written:
         picture = iio.imread(path)
@@ -99,4 +99,4 @@ def test_a_run_without_history(beam: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(beam, tmp_path / "copy")
     (copy / "history.csv").unlink()
     with pytest.raises(InputError, match=r"history\.csv: no such file"):
-        plots.write_plots(copy)
+        run_plots.write_plots(copy)
