@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from femdeform.errors import InputError
 from femdeform.post.canvas import Canvas
 from femdeform.post.fields import Field, default_field, select_field, value_range
-from femdeform.post.setting import Setting, around, bounds, resolved_or_empty, whole_range
+from femdeform.post.setting import Setting, around, bounds, whole_range
 from femdeform.run.frames import ParticleFrame, of_kind
 from femdeform.run.result import Result
 from femdeform.types import FloatArray
@@ -233,8 +233,8 @@ def _read(result: Result, index: int) -> ParticleFrame:
 
 
 def _dimension(result: Result, frame: ParticleFrame) -> int:
-    """2 where all lies in the plane and the scene does not say that it is one in space."""
-    gravity: Any = resolved_or_empty(result).get("gravity")
-    if isinstance(gravity, list) and len(gravity) in (2, 3):
-        return len(gravity)
+    """Dimension of space as the run tells it; else 2 where all lies in the plane."""
+    told: Any = result.facts.get("dim")
+    if told in (2, 3):
+        return int(told)
     return 3 if np.any(frame.positions[:, 2]) else 2

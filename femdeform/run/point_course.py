@@ -23,6 +23,7 @@ from femdeform.run.point_step import PointReport, PointStep, law_densities
 from femdeform.run.setup import make_linear_solver
 from femdeform.run.vtp import VTPWriter
 from femdeform.scene.mesh_files import with_absolute_paths
+from femdeform.scene.point_body_schema import PointWall
 from femdeform.scene.point_schema import BlockCGLinearSolver
 from femdeform.step_problem import IterationObserver
 
@@ -205,7 +206,7 @@ class PointCourse:
             "dim": scene.dim,
             "cell_size": scene.grid.cell_size,
             "bodies": list(scene.bodies),
-            "walls": [wall.model_dump(mode="json", exclude_none=True) for wall in scene.walls],
+            "obstacles": [_drawn(wall) for wall in scene.walls if wall.shape.kind in ("plane", "sphere", "box")],
         }
 
     def resolve(self, resolved: dict[str, Any]) -> None:
@@ -227,3 +228,10 @@ class PointCourse:
         if self._solver is not None:
             self._solver.destroy()
             self._linear_solver.destroy()
+
+
+def _drawn(wall: PointWall) -> dict[str, Any]:
+    """A wall as pictures take obstacles."""
+    shape = wall.shape.model_dump(mode="json")
+    moving = {} if wall.velocity is None else {"velocity": list(wall.velocity)}
+    return {**shape, "inside": wall.inside, **moving}
