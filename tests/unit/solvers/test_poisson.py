@@ -232,6 +232,19 @@ def test_preconditioners_take_fewer_iterations() -> None:
     assert counts["deflated"] < 0.9 * counts["cg"]
 
 
+@pytest.mark.parametrize("n", [4, 6])
+def test_deflation_where_the_krylov_space_ends(n: int) -> None:
+    """A cube has fewer eigenvalues than voxels: Lanczos stops before it takes rounding for directions."""
+    system = PressureSystem(box(n, n, n))
+    b = system.extend(np.random.default_rng(4).standard_normal(system.n_unknowns))
+    system.project(b)
+    solver = DeflatedConjugateGradients(system)
+    np.testing.assert_allclose(solver.W.T @ solver.W, np.eye(solver.W.shape[1]), atol=1e-10)
+    np.testing.assert_allclose(solver.W.sum(axis=0), 0.0, atol=1e-10)
+    answer = solver.solve(b, 1e-9, 100)
+    assert answer.converged, answer.reason
+
+
 def test_answers_do_not_depend_on_threads() -> None:
     system = PressureSystem(with_balls(32, 3))
     b = smooth(system)
