@@ -1,6 +1,7 @@
 """What the child processes of the Poisson benchmark do: one case each.
 
-``python -m verification.benchmarks.poisson_case CASE RESULT``: CASE is a JSON file with ``kind`` and the case's own keys.
+``python -m verification.benchmarks.poisson_case CASE RESULT``: CASE is a JSON file with ``kind`` and the case's own
+keys.
 """
 
 from __future__ import annotations
@@ -85,7 +86,9 @@ def solve(case: dict[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {f"{t:g}": {"iterations": [], "seconds": []} for t in case["tolerances"]}
     reasons: list[str] = []
     residuals: list[float] = []
-    system, solver, before = None, None, None
+    system: PressureSystem | None = None
+    solver: PoissonSolver | None = None
+    before = np.empty(0, dtype=np.uint8)
     for labels, b in zip(data["labels"], data["b"], strict=True):
         if system is None or solver is None or not np.array_equal(labels, before):
             if solver is not None:
@@ -98,7 +101,7 @@ def solve(case: dict[str, Any]) -> dict[str, Any]:
             before = labels
         for tolerance in case["tolerances"]:
             row = found[f"{tolerance:g}"]
-            taken = []
+            taken: list[float] = []
             while len(taken) < _REPETITIONS and (not taken or min(taken) < _LONG):
                 begin = time.perf_counter()
                 answer = solver.solve(b, tolerance, _MAX_ITERATIONS)

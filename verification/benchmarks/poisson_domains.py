@@ -110,6 +110,7 @@ def make_flow(
     is_open : bool
         Whether the topmost layer is air.
     n : int
+        Voxels along an edge.
     make_solver : callable
         See `SmokeFlow`.
     """

@@ -10,8 +10,7 @@ import numpy as np
 from femdeform.flow.pressure_system import GridArray, PressureSystem
 from solvers.linear.poisson.interface import PoissonResult, starting_point
 
-
-# A Krylov space ends where the next vector is as short as this, over the largest eigenvalue found: what is left is noise.
+# A Krylov space ends where the next vector is as short as this, over the largest value found: what is left is noise.
 _USED_UP = 1e-9
 
 
