@@ -515,8 +515,10 @@ mixed: a substep of the alternating scheme, one iteration of the converged one, 
   with the meshes published with the paper's code where FEMDEFORM_DATA/meshes has them, else recipes of the same size.
 pbng: sweeps over the nodes, growth with the mesh, the way to a tolerance beside Newton's method, equal budgets.
 xpbd: sweeps over the cells, what they reach at given stiffness numbers, beside other codes.
-FEMDEFORM_BENCH_ONLY="growth; twist, newton" runs only cases of these two with such a text in their name.
-FEMDEFORM_BENCH_CELLS=N makes all bodies blocks of N cells an edge. bench.md holds the tables as Markdown.
+poisson: solvers of the pressure of flows, on boxes of 32^3 to 256^3 voxels, with a plot of residuals for each scene.
+FEMDEFORM_BENCH_ONLY="growth; twist, newton" runs only cases of these three with such a text in their name, of poisson's
+  "64^3, plume" or ": mg". FEMDEFORM_BENCH_CELLS=N makes all bodies blocks of N cells an edge, all grids N^3 voxels.
+bench.md holds the tables as Markdown.
 """
 
 

@@ -33,12 +33,15 @@ class Findings:
         Everything measured, for JSON.
     failures : list of str
         Cases of femdeform's own that broke; other codes that are absent or broken are notes of the tables.
+    pictures : dict of str to bytes
+        Files beside the tables, by name.
     """
 
     summary: str
     tables: list[Table] = field(default_factory=list)
     data: dict[str, Any] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
+    pictures: dict[str, bytes] = field(default_factory=dict)
 
 
 # A benchmark says what it is doing by its argument.
@@ -51,6 +54,7 @@ BENCHMARKS: dict[str, str] = {
     "pbng": "verification.benchmarks.pbng:run_pbng",
     "xpbd": "verification.benchmarks.xpbd:run_xpbd",
     "mpm": "verification.benchmarks.mpm:run_mpm",
+    "poisson": "verification.benchmarks.poisson:run_poisson",
 }
 
 
@@ -124,7 +128,7 @@ def check_names(names: Sequence[str]) -> list[str]:
 
 
 def write_results(folder: Path, facts: dict[str, Any], found: dict[str, Findings]) -> None:
-    """Write ``bench.json`` (everything) and ``bench.md`` (the tables)."""
+    """Write ``bench.json`` (everything), ``bench.md`` (the tables) and pictures."""
     document = {
         "schema_version": 1,
         "machine": facts,
@@ -135,5 +139,8 @@ def write_results(folder: Path, facts: dict[str, Any], found: dict[str, Findings
     for name, findings in found.items():
         lines += [f"## {name}", "", findings.summary, ""]
         lines += [table.to_markdown() for table in findings.tables]
+        lines += [f"![{picture}]({picture})\n" for picture in findings.pictures]
         lines += [f"Failed: {text}\n" for text in findings.failures]
+        for picture, content in findings.pictures.items():
+            atomic.write_bytes(folder / picture, content)
     atomic.write_text(folder / "bench.md", "\n".join(lines))

@@ -10,6 +10,9 @@ import numpy as np
 from femdeform.flow.pressure_system import GridArray, PressureSystem
 from solvers.linear.poisson.interface import PoissonResult, starting_point
 
+# A Krylov space ends where the next vector is as short as this, over the largest value found: what is left is noise.
+_USED_UP = 1e-9
+
 
 class DeflatedConjugateGradients:
     """Conjugate gradients beside a space W of Ritz vectors, in which the error is zero from the start.
@@ -111,9 +114,13 @@ def _ritz_vectors(system: PressureSystem, n_vectors: int, n_steps: int, seed: in
         alpha[n] = q @ v
         for _ in range(2):  # once is not enough for full orthogonality
             v -= Q[: n + 1].T @ (Q[: n + 1] @ v)
+        # Rounding brings the null space back in, and grows where the space is almost used up.
+        again = system.extend(v)
+        system.project(again)
+        v = system.restrict(again)
         beta[n] = np.linalg.norm(v)
         n += 1
-        if beta[n - 1] <= 1e-12 * abs(alpha[0]):
+        if beta[n - 1] <= _USED_UP * alpha[:n].max():
             break
         q = v / beta[n - 1]
     T = np.diag(alpha[:n]) + np.diag(beta[: n - 1], 1) + np.diag(beta[: n - 1], -1)

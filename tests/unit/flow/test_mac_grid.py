@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -134,28 +136,50 @@ def test_an_inlet_without_an_outlet_is_reported() -> None:
     assert report.divergence_after == pytest.approx(report.imbalance, rel=1e-8)
 
 
-def test_taylor_green_vortices_lose_less_on_finer_grids() -> None:
-    """Vortices that should stay: with dt = 0.64 h, both of order h, so is the energy that is lost in a fixed time."""
+def energy_lost(n: int, n_steps: int) -> float:
+    """Part of their energy that vortices which should stay lose in 0.16 s, in n^2 voxels of a square of 1 m."""
 
     def vortices(points: FloatArray) -> FloatArray:
         x, y = 2.0 * np.pi * points[..., 0], 2.0 * np.pi * points[..., 1]
         return np.stack([np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y)], axis=-1)
 
-    losses = []
-    for n in (16, 32, 64):
-        grid = MACGrid((n, n), 1.0 / n)
-        system = PressureSystem(np.full((n, n), FLUID, dtype=np.uint8))
-        solver = multigrid(system)
-        set_velocity(grid, vortices)
-        energy = sum(float(np.sum(component**2)) for component in grid.velocity)
-        for _ in range(n // 8):
-            grid.advect(0.64 / n)
-            grid.hold_at_solids(system)
-            grid.project(system, solver, 1e-10, 100)
-        losses.append(1.0 - sum(float(np.sum(component**2)) for component in grid.velocity) / energy)
+    grid = MACGrid((n, n), 1.0 / n)
+    system = PressureSystem(np.full((n, n), FLUID, dtype=np.uint8))
+    solver = multigrid(system)
+    set_velocity(grid, vortices)
+    energy = sum(float(np.sum(component**2)) for component in grid.velocity)
+    for _ in range(n_steps):
+        grid.advect(0.16 / n_steps)
+        grid.hold_at_solids(system)
+        grid.project(system, solver, 1e-10, 100)
+    return 1.0 - sum(float(np.sum(component**2)) for component in grid.velocity) / energy
+
+
+def test_taylor_green_vortices_lose_less_on_finer_grids() -> None:
+    """With dt = 0.64 h step and voxel are of order h, and so is the loss."""
+    losses = [energy_lost(n, n // 4) for n in (16, 32, 64)]
     assert all(loss > 0.0 for loss in losses)
     assert np.log2(losses[0] / losses[1]) == pytest.approx(1.0, abs=0.2)
     assert np.log2(losses[1] / losses[2]) == pytest.approx(1.0, abs=0.2)
+
+
+def test_what_taylor_green_vortices_lose_is_of_second_order_in_the_voxel() -> None:
+    """With one step for all grids: each adds an error of interpolation of h^2."""
+    losses = [energy_lost(n, 2) for n in (32, 64, 128)]
+    assert losses[0] > losses[1] > losses[2] > 0.0
+    assert np.log2((losses[0] - losses[1]) / (losses[1] - losses[2])) == pytest.approx(2.0, abs=0.1)
+
+
+def test_what_taylor_green_vortices_lose_is_of_first_order_in_the_step() -> None:
+    """With the part of h^2 taken away by extrapolation from two grids."""
+    limits = [(4.0 * energy_lost(128, steps) - energy_lost(64, steps)) / 3.0 for steps in (2, 4, 8)]
+    for coarse, fine in itertools.pairwise(limits):
+        assert np.log2(coarse / fine) == pytest.approx(1.0, abs=0.15)
+
+
+def test_steps_far_shorter_than_a_voxel_do_not_pay() -> None:
+    """Interpolation is done once a step: on one grid more steps than it takes to cross a voxel lose no less."""
+    assert energy_lost(64, 32) > energy_lost(64, 16)
 
 
 # -------------------------------------------------------------------------------------------------- smoke

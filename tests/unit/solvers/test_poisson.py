@@ -131,6 +131,55 @@ def test_eigenvectors_of_the_empty_box() -> None:
     np.testing.assert_allclose(out, value * x, atol=1e-13)
 
 
+@pytest.mark.parametrize("shape", [(33, 20), (12, 9, 16)])
+def test_a_box_against_cosines(shape: tuple[int, ...]) -> None:
+    """The discrete cosine transform solves the empty box: all eigenvectors and eigenvalues at once."""
+    from scipy.fft import dctn, idctn
+
+    system = PressureSystem(box(*shape))
+    b = system.extend(np.random.default_rng(5).standard_normal(system.n_unknowns))
+    system.project(b)
+    values = sum(
+        (2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n)).reshape([-1 if d == axis else 1 for d in range(len(shape))])
+        for axis, n in enumerate(shape)
+    )
+    assert isinstance(values, np.ndarray)
+    values.flat[0] = 1.0  # constants: b has none
+    reference = idctn(dctn(system.restrict(b).reshape(shape)) / values).ravel()
+    answer = ConjugateGradients(system, Multigrid(system)).solve(b, 1e-12, 100)
+    np.testing.assert_allclose(system.restrict(answer.x), reference, atol=1e-11 * np.abs(reference).max())
+
+
+def manufactured_error(n: int, dim: int, surface: str) -> float:
+    """Largest error of a pressure that is a product of cosines, zero at the topmost layer's centres or below it."""
+    labels = box(*[n] * dim)
+    waves = np.pi * np.array([1.0, 1.0, 2.0][:dim])
+    if surface:
+        labels[:, -1] = AIR
+        waves[1] = 0.5 * np.pi / (1.0 - (0.5 if surface == "centres" else 1.0) / n)
+    system = PressureSystem(labels)
+    points = (np.indices(labels.shape) + 0.5) / n
+    exact = np.prod([np.cos(waves[d] * points[d]) for d in range(dim)], axis=0).reshape(system.shape)
+    b = system.new_field()
+    b[1:-1, 1:-1, 1:-1] = (waves**2).sum() * exact / n**2
+    b[~system.unknown] = 0.0
+    system.project(b)
+    answer = ConjugateGradients(system, Multigrid(system)).solve(b, 1e-11, 100)
+    assert answer.converged, answer.reason
+    return float(np.abs(answer.x[1:-1, 1:-1, 1:-1] - exact)[system.unknown[1:-1, 1:-1, 1:-1]].max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("surface", "order"), [("", 2.0), ("centres", 2.0), ("faces", 1.0)])
+def test_manufactured_pressures_converge(dim: int, surface: str, order: float) -> None:
+    """Second order with walls, and with air whose pressure is that of its voxels' centres.
+
+    A surface on the faces below these voxels is half a voxel away from there: first order.
+    """
+    coarse, fine = (manufactured_error(n, dim, surface) for n in ((32, 64) if dim == 2 else (16, 32)))
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.05 if order == 2.0 else 0.3)
+
+
 @pytest.mark.parametrize("labels", [np.zeros(4, np.uint8), np.full((3, 3), 7, np.uint8), np.zeros((0, 3), np.uint8)])
 def test_labels_that_are_none(labels: NDArray[np.uint8]) -> None:
     with pytest.raises(ValueError, match="labels"):
@@ -230,6 +279,19 @@ def test_preconditioners_take_fewer_iterations() -> None:
     }
     assert counts["v22"] < counts["mic"] < counts["ic"] < counts["cg"]
     assert counts["deflated"] < 0.9 * counts["cg"]
+
+
+@pytest.mark.parametrize("n", [4, 6])
+def test_deflation_where_the_krylov_space_ends(n: int) -> None:
+    """A cube has fewer eigenvalues than voxels: Lanczos stops before it takes rounding for directions."""
+    system = PressureSystem(box(n, n, n))
+    b = system.extend(np.random.default_rng(4).standard_normal(system.n_unknowns))
+    system.project(b)
+    solver = DeflatedConjugateGradients(system)
+    np.testing.assert_allclose(solver.W.T @ solver.W, np.eye(solver.W.shape[1]), atol=1e-10)
+    np.testing.assert_allclose(solver.W.sum(axis=0), 0.0, atol=1e-10)
+    answer = solver.solve(b, 1e-9, 100)
+    assert answer.converged, answer.reason
 
 
 def test_answers_do_not_depend_on_threads() -> None:
