@@ -71,7 +71,7 @@ class Architecture:
         layers = ["first", "last_left", *(f"{part}{i}{c}" for part, i, c in self._convolutions())]
         window = (3,) * self.dim
         kernels: dict[str, tuple[int, ...]] = {"input": (*window, self.inputs, self.channels)}
-        kernels |= {name: (*window, self.channels, self.channels) for name in layers}
+        kernels |= dict.fromkeys(layers, (*window, self.channels, self.channels))
         kernels["output"] = (1,) * self.dim + (self.channels, 1)
         found: dict[str, tuple[int, ...]] = {}
         for name, shape in kernels.items():

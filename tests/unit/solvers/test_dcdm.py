@@ -236,7 +236,7 @@ def test_convolution(dim: int) -> None:
     from scipy.ndimage import correlate
 
     rng = np.random.default_rng(0)
-    x = rng.standard_normal((7, 5, 4)[:dim] + (3,))
+    x = rng.standard_normal((*(7, 5, 4)[:dim], 3))
     kernel = rng.standard_normal((3,) * dim + (3, 2))
     bias = rng.standard_normal(2)
     found = NumPyOperations().convolve(x, kernel, bias)
