@@ -57,6 +57,12 @@ BENCHMARKS: dict[str, str] = {
     "run": "verification.benchmarks.run:run_benchmarks",
 }
 
+TRAIN: dict[str, str] = {
+    "settings": "solvers.linear.poisson.training.settings:TrainingSettings",
+    "run": "solvers.linear.poisson.training.command:train_command",
+    "threads": "torch:set_num_threads",
+}
+
 VERIFY: dict[str, str] = {
     "run": "verification.verify:verify_command",
     "list": "verification.verify:list_cases",
