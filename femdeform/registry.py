@@ -29,8 +29,10 @@ COURSES: dict[str, str] = {
     "incompressible_flow": "femdeform.run.flow_course:FlowCourse",
 }
 
-# Makes what solves for the pressure of a flow.
-PRESSURE_SOLVER = "solvers.linear.poisson.make:make_pressure_solver"
+# Makes makers of what solves for the pressure of a flow.
+PRESSURE_SOLVER = "solvers.linear.poisson.make:PressureSolverMaker"
+# The path of a file of learned weights, as seen from a folder.
+WEIGHTS_PATH = "solvers.linear.poisson.make:weights_path"
 
 LINEAR_SOLVERS: dict[str, str] = {
     "ksp": "solvers.linear.ksp:KSP",

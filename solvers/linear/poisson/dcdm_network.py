@@ -91,7 +91,7 @@ class Architecture:
 
     @property
     def reach(self) -> int:
-        """Voxels to one side that a value can come from; halving rounds, which makes it one more to one of the sides."""
+        """Voxels to one side that a value can come from; one more to one of the sides, as halving rounds."""
         fine = 3 + 2 * self.left + 2 * self.up
         return fine + (4 if self.pooled else 2) * self.low
 
@@ -118,11 +118,13 @@ def evaluate(architecture: Architecture, parameters: Mapping[str, Any], x: Any, 
     Parameters
     ----------
     architecture : Architecture
+        What to run.
     parameters : mapping of str to array
         As `Architecture.shapes` has them, in the order of axes that `operations` wants.
     x : array
         Inputs; even numbers of voxels along each axis.
     operations : Operations
+        Of the library whose arrays these are.
     """
 
     def layer(name: str, x: Any) -> Any:
@@ -169,7 +171,7 @@ class NumPyOperations:
 
     def relu(self, x: NDArray[Any]) -> NDArray[Any]:
         """The positive part."""
-        return np.maximum(x, np.float32(0.0))
+        return np.asarray(np.maximum(x, np.float32(0.0)))
 
     def halve(self, x: NDArray[Any]) -> NDArray[Any]:
         """Means of 2^dim voxels."""

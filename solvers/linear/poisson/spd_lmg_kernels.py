@@ -46,6 +46,7 @@ def restrict(parents: Any, fine: Any, coarse: Any) -> None:
     parents : (2^dim, nx + 2, ny + 2, nz + 2) float
         Weight of each parent; zero where there is no unknown.
     fine : (nx + 2, ny + 2, nz + 2) float
+        A field.
     coarse : (mx + 2, my + 2, mz + 2) float
         Written.
     """

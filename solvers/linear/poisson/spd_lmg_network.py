@@ -27,7 +27,7 @@ def n_features(dim: int) -> int:
 
 def n_heads(dim: int) -> int:
     """Numbers a voxel that it answers: relaxation of either colour, and a weight for each parent."""
-    return 2 + 2**dim
+    return 2 + (1 << dim)
 
 
 def parameter_shapes(dim: int) -> dict[str, tuple[int, ...]]:
@@ -63,9 +63,11 @@ def features(diagonal: NDArray[Any], weights: Any, dim: int) -> NDArray[np.float
     Parameters
     ----------
     diagonal : (nx + 2, ny + 2, nz + 2) float
+        Of the level's matrix.
     weights : sequence of three (nx + 2, ny + 2, nz + 2) float
         Coupling to the next voxel along each axis.
     dim : int
+        Of the grid.
     """
     unknown = diagonal > 0
     sides = [side for axis in range(dim) for side in (weights[axis], shifted(weights[axis], axis, -1))]

@@ -54,6 +54,7 @@ def load_weights(name: str | None, method: str, dim: int) -> Weights:
     method : str
         ``dcdm`` or ``spd_lmg``.
     dim : int
+        Of the grid.
 
     Raises
     ------
@@ -110,7 +111,8 @@ def save_weights(path: Path, weights: Weights) -> str:
     """Write a file ``.npz`` and its sum beside it; return the sum."""
     buffer = io.BytesIO()
     arrays: dict[str, Any] = {name: np.asarray(v, dtype=np.float32) for name, v in weights.parameters.items()}
-    np.savez_compressed(buffer, **arrays, **{_META: np.array(json.dumps(weights.meta, sort_keys=True))})
+    arrays[_META] = np.array(json.dumps(weights.meta, sort_keys=True))
+    np.savez_compressed(buffer, **arrays)
     data = buffer.getvalue()
     digest = hashlib.sha256(data).hexdigest()
     path.write_bytes(data)

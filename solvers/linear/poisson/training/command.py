@@ -16,6 +16,7 @@ def train_command(settings: TrainingSettings, name: str, command: str, resume: b
     Parameters
     ----------
     settings : TrainingSettings
+        What to do.
     name : str
         Of the files.
     command : str

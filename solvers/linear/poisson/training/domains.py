@@ -46,7 +46,7 @@ def blob_labels(shape: tuple[int, ...], is_open: bool, seed: int = 20) -> NDArra
     """Seven ellipsoids, always the same ones for a seed; air at the top if it is open."""
     rng = np.random.default_rng(seed)
     labels = np.full(shape, FLUID, dtype=np.uint8)
-    places = np.stack(np.indices(shape), axis=-1) + 0.5
+    places = _places(shape)
     for _ in range(7):
         center = (0.5 + 0.12 * rng.standard_normal(len(shape))) * shape
         radii = (0.05 + 0.08 * rng.random(len(shape))) * shape
@@ -84,10 +84,15 @@ def _put_plates(labels: NDArray[np.uint8], rng: np.random.Generator) -> None:
         view[place, slit : slit + int(rng.integers(1, 5))] = FLUID
 
 
+def _places(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Centres of the voxels, (.., dim)."""
+    return np.moveaxis(np.indices(shape).astype(np.float64) + 0.5, 0, -1)
+
+
 def _solid(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.bool_]:
     dim = len(shape)
     turn = np.linalg.qr(rng.standard_normal((dim, dim)))[0]
-    places = np.stack(np.indices(shape), axis=-1) + 0.5 - rng.random(dim) * shape
+    places = _places(shape) - rng.random(dim) * shape
     half = np.maximum(0.5, np.exp(rng.uniform(np.log(0.5 / min(shape)), np.log(0.25), dim)) * np.array(shape))
     local = np.abs(places @ turn) / half
     return np.asarray((local**2).sum(axis=-1) < 1.0 if rng.random() < 0.5 else local.max(axis=-1) < 1.0)

@@ -89,10 +89,10 @@ class _Domains:
 class DCDMLearner:
     """Both routes of training deep conjugate directions.
 
-    *On policy*: each sample of a pool is a domain, an error e, its residual r = A e and the last direction. A step finds
-    a direction q from r, makes it A-orthogonal to the last one, and the loss is the factor of the energy norm of e,
-    ``sqrt(1 - (r.q)^2/((q.A q)(e.r)))``; then e moves on by that very step. Errors start with random cosine coefficients
-    of random decay, half of them under a window, on the empty box or on a domain with solids and air.
+    *On policy*: each sample of a pool is a domain, an error e, its residual r = A e and the last direction. A step
+    finds a direction q from r, makes it A-orthogonal to the last one, and the loss is the factor of the energy norm of
+    e, ``sqrt(1 - (r.q)^2/((q.A q)(e.r)))``; then e moves on by that very step. Errors start with random cosine
+    coefficients of random decay, half of them under a window, on the empty box or on a domain with solids and air.
 
     *Ritz*, the source's: right-hand sides b that are random sums of Ritz vectors of the empty box, loss
     ``|b - alpha A f(b)|`` with b of unit length.
@@ -174,7 +174,7 @@ class DCDMLearner:
         coefficients.flat[0] = 0.0
         e = idctn(coefficients, norm="ortho")
         if rng.random() < 0.5:
-            places = np.stack(waves, axis=-1) - rng.random(len(shape)) * shape
+            places = np.moveaxis(waves, 0, -1) - rng.random(len(shape)) * shape
             width = rng.uniform(0.08, 0.4) * shape[0]
             e *= np.exp(-0.5 * (places**2).sum(axis=-1) / width**2)
         device = self._settings.device

@@ -85,7 +85,9 @@ def run_training(
     Parameters
     ----------
     settings : TrainingSettings
+        What to do.
     learner : Learner
+        What is trained.
     resume : bool
         Go on from the checkpoint in the folder.
     tell : callable
@@ -113,7 +115,7 @@ def run_training(
     while progress.step < settings.steps and not _is_late(settings, progress):
         loss = learner.loss()
         optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(list(learner.parameters.values()), _CLIP)
         optimizer.step()
         schedule.step()

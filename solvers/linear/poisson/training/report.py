@@ -66,8 +66,8 @@ Weights of `{settings.kind}` in {settings.dim} dimensions.
 
 ## Iterations
 
-To a residual of 1e-4 of the right-hand side, on systems that were used neither for training nor for choosing the step;
-"start" is the same solver before training.
+To a residual of 1e-4 of the right-hand side, on domains of the kinds that were trained on, but other ones than were used
+for training or for choosing the step; "start" is the same solver before training.
 
 | system | start | trained | multigrid V(1,1) | multigrid V(2,2) |
 |---|---|---|---|---|
@@ -83,8 +83,8 @@ def _facts(settings: TrainingSettings, progress: Progress, command: str, digest:
     tail = progress.losses[-max(1, len(progress.losses) // 20) :]
     head = progress.losses[: len(tail)]
     data = {
-        "spd_lmg": "random ellipsoids, turned boxes, porous solids and plates, air layers and wavy surfaces; errors left by "
-        "the cycle itself",
+        "spd_lmg": "random ellipsoids, turned boxes, porous solids and plates, air layers and wavy surfaces; errors "
+        "left by the cycle itself",
         "dcdm": "empty boxes and random domains with solids and air; errors left by the solver itself"
         if settings.route == "on_policy"
         else f"{settings.samples} right-hand sides of Ritz vectors of the empty box, {settings.lanczos} Lanczos steps",
