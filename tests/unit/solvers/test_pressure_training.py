@@ -65,7 +65,8 @@ def test_ritz_vectors() -> None:
     values, vectors = ritz_pairs(system, 200, np.random.default_rng(0))
     A = system.matrix()
     np.testing.assert_allclose(vectors.T @ vectors, np.eye(vectors.shape[1]), atol=1e-5)
-    np.testing.assert_allclose(A @ vectors, vectors * values, atol=1e-5)
+    np.testing.assert_allclose(vectors.T @ (A @ vectors), np.diag(values), atol=1e-5)
+    np.testing.assert_allclose(A @ vectors[:, :5], vectors[:, :5] * values[:5], atol=1e-5)
     exact = np.unique(np.round(np.linalg.eigvalsh(A.toarray()), 9))[1:]
     np.testing.assert_allclose(values[:5], exact[:5], atol=1e-7)
     sides = ritz_right_sides(vectors, 400, np.random.default_rng(1))

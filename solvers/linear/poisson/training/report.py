@@ -66,8 +66,8 @@ Weights of `{settings.kind}` in {settings.dim} dimensions.
 
 ## Iterations
 
-To a residual of 1e-4 of the right-hand side, on domains of the kinds that were trained on, but other ones than were used
-for training or for choosing the step; "start" is the same solver before training.
+To a residual of 1e-4 of the right-hand side, on domains of the kinds that were trained on, but other ones than were
+used for training or for choosing the step; "start" is the same solver before training.
 
 | system | start | trained | multigrid V(1,1) | multigrid V(2,2) |
 |---|---|---|---|---|
