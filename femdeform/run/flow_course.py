@@ -95,7 +95,7 @@ class FlowCourse:
         assert scene.simulation == "incompressible_flow"
         self._given, self._scene = given, scene
         make = registry.resolve(registry.PRESSURE_SOLVER)
-        self._make_solver = make(scene.linear_solver, scene.dim, given.loaded.base_dir)
+        self._make_solver = make(scene.linear_solver, given.loaded.base_dir)
         self.flow = build_flow(scene, given.meshes, self._make_solver)
         self._meter = FlowMeter(scene, self.flow.grid)
         self._events: list[str] = self._make_solver.events
@@ -243,7 +243,7 @@ class FlowCourse:
         """Make the paths of files absolute."""
         with_absolute_paths(self._given.loaded, resolved)
         options = self._scene.linear_solver
-        if isinstance(options, LearnedPressureSolver):
+        if isinstance(options, LearnedPressureSolver) and options.weights is not None:
             path = registry.resolve(registry.WEIGHTS_PATH)(options.weights, self._given.loaded.base_dir)
             resolved["linear_solver"]["weights"] = path
 

@@ -25,8 +25,6 @@ class PressureSolverMaker:
     Parameters
     ----------
     options : PressureSolver
-    dim : int
-        Of the grid.
     folder : Path
         Where files of weights are named from.
 
@@ -34,19 +32,13 @@ class PressureSolverMaker:
     ----------
     events : list of str
         A line for each time that a learned solver was stopped or put aside.
-
-    Raises
-    ------
-    InputError
-        If there are no such weights, or they are damaged or of another kind.
     """
 
-    def __init__(self, options: schema.PressureSolver, dim: int, folder: Path) -> None:
+    def __init__(self, options: schema.PressureSolver, folder: Path) -> None:
         self._options = options
+        self._folder = folder
         self.events: list[str] = []
         self._weights: Weights | None = None
-        if isinstance(options, schema.LearnedPressureSolver):
-            self._weights = load_weights(weights_path(options.weights, folder), options.method, dim)
         self.reset()
 
     def reset(self) -> None:
@@ -60,11 +52,14 @@ class PressureSolverMaker:
         ------
         MissingDependencyError
             If it needs PETSc, which is not there.
+        InputError
+            If there are no such weights, or they are damaged or of another kind.
         """
         options = self._options
         if not isinstance(options, schema.LearnedPressureSolver):
             return make_classical_solver(options, system)
-        assert self._weights is not None
+        if self._weights is None:
+            self._weights = load_weights(weights_path(options.weights, self._folder), options.method, system.dim)
         weights = self._weights
 
         def multigrid() -> PoissonSolver:

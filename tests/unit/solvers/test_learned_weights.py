@@ -105,7 +105,7 @@ def test_the_shipped_cycle_is_no_worse_than_one_sweep_of_multigrid(dim: int, n: 
     system = domain(n, dim, is_open)
     b = right_side(system)
     options = SPDLMGPressureSolver(method="spd_lmg", fallback="none")
-    ours = PressureSolverMaker(options, dim, Path())(system).solve(b, 1e-4, 50)
+    ours = PressureSolverMaker(options, Path())(system).solve(b, 1e-4, 50)
     classical = ConjugateGradients(system, Multigrid(system, 1)).solve(b, 1e-4, 50)
     assert ours.converged
     assert ours.iterations <= classical.iterations
@@ -115,7 +115,7 @@ def test_the_shipped_cycle_is_no_worse_than_one_sweep_of_multigrid(dim: int, n: 
 def test_a_poor_network_is_replaced(untrained: Path, compare_times: bool) -> None:
     """By multigrid, with a line that says so; the file is named from the folder of the scene."""
     options = DCDMPressureSolver(method="dcdm", weights="poor.npz", compare_times=compare_times)
-    make = PressureSolverMaker(options, 2, untrained.parent)
+    make = PressureSolverMaker(options, untrained.parent)
     system = domain(64, 2, False)
     solver = make(system)
     answer = solver.solve(right_side(system), 1e-6, 200)
@@ -127,7 +127,7 @@ def test_a_poor_network_is_replaced(untrained: Path, compare_times: bool) -> Non
         make.reset()
     solver.destroy()
     alone = PressureSolverMaker(
-        DCDMPressureSolver(method="dcdm", weights="poor.npz", fallback="none", kept="all"), 2, untrained.parent
+        DCDMPressureSolver(method="dcdm", weights="poor.npz", fallback="none", kept="all"), untrained.parent
     )(system)
     assert not alone.solve(right_side(system), 1e-6, 5).converged
 
@@ -137,3 +137,10 @@ def test_options_that_do_not_fit() -> None:
         SPDLMGPressureSolver(method="spd_lmg", fallback="none", compare_times=True)
     with pytest.raises(ValueError, match="at least one direction"):
         DCDMPressureSolver(method="dcdm", kept=0)
+
+
+def test_a_layer_of_voxels_is_a_grid_of_two_dimensions() -> None:
+    """Flows hand over labels of three dimensions."""
+    flat = np.zeros((16, 12), dtype=np.uint8)
+    assert PressureSystem(flat).dim == PressureSystem(flat[..., None]).dim == 2
+    assert PressureSystem(np.zeros((4, 4, 2), dtype=np.uint8)).dim == 3

@@ -76,6 +76,7 @@ def test_ritz_vectors() -> None:
     assert amplitudes[:low].mean() == pytest.approx(9.0 * amplitudes[low:].mean(), rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", ["spd_lmg", "dcdm", "dcdm --route ritz --lanczos 60 --samples 64 --model narrow --rate 1e-3"]
 )
@@ -84,6 +85,8 @@ def test_training_learns_and_can_be_resumed(
 ) -> None:
     from solvers.linear.poisson.training import loop
 
+    monkeypatch.setattr(loop, "_VALIDATIONS", 4)
+    monkeypatch.setattr(loop, "_MOST_ITERATIONS", 12)
     common = ["train", *kind.split(), "--cells", "16", "--steps", "40", "--batch", "4", "--quiet", "--name", "made"]
     assert main([*common, "--out", str(tmp_path / "whole")]) == 0
     out = capsys.readouterr().out
@@ -103,9 +106,9 @@ def test_training_learns_and_can_be_resumed(
             raise KeyboardInterrupt
         tell_until(learner, systems, progress)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(loop, "_validate", stop)
-    assert main([*common, "--out", str(tmp_path / "broken")]) == 130
-    monkeypatch.undo()
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "_validate", stop)
+        assert main([*common, "--out", str(tmp_path / "broken")]) == 130
     assert main([*common, "--out", str(tmp_path / "broken")]) == 2
     assert main([*common, "--out", str(tmp_path / "broken"), "--resume"]) == 0
     again = torch.load(tmp_path / "broken" / loop.CHECKPOINT, weights_only=False)["progress"]
