@@ -24,6 +24,7 @@ from femdeform.materials import dispatch, lame_parameters
 from femdeform.run.setup import Simulation
 from femdeform.scene import batch_schema, mesh_schema, schema
 from femdeform.scene.comparison_schema import ComparisonFile
+from femdeform.scene.flow_schema import FlowScene
 from femdeform.scene.validation import find_faults
 from femdeform.step_problem import Budget, StepResult
 from verification.study_schema import StudyFile
@@ -76,6 +77,12 @@ SOME_SCENE = {
     "time": {"scheme": "quasistatic", "dt": 0.1},
 }
 
+SOME_FLOW = {
+    "simulation": "incompressible_flow",
+    "grid": {"cells": [32, 32], "cell_size": 0.03},
+    "time": {"dt": 0.02, "end": 1.0},
+}
+
 
 @pytest.mark.parametrize("fence", [fence for fence in FENCES if fence.language == "yaml"], ids=where)
 def test_yaml_passes_its_schema(fence: Fence) -> None:
@@ -88,6 +95,8 @@ def test_yaml_passes_its_schema(fence: Fence) -> None:
         model, whole = ComparisonFile, data
     elif "sweep" in data or "scalars" in data:
         model, whole = batch_schema.Study, {"scene": "scene.yaml", "sweep": {"grid": {"time.dt": [0.1]}}, **data}
+    elif "boundaries" in data:
+        model, whole = FlowScene, {**SOME_FLOW, **data}
     elif set(data) <= set(schema.DeformableScene.model_fields):
         model, whole = schema.DeformableScene, {**SOME_SCENE, **data}
     else:
