@@ -268,6 +268,33 @@ def build_parser() -> argparse.ArgumentParser:
     bench.add_argument("name", nargs="*", metavar="NAME", help="benchmark (default: all)")
     bench.add_argument("--out", type=Path, metavar="DIR", help="folder for the tables")
 
+    train = add("train", _train, "train weights of a learned pressure solver", _TRAIN_EPILOG)
+    train.add_argument("kind", choices=["dcdm", "spd_lmg"], metavar="METHOD", help="dcdm or spd_lmg")
+    train.add_argument("--out", type=Path, metavar="DIR", help="folder (default: results/train-<method>-<dim>d)")
+    train.add_argument("--name", metavar="NAME", help="of the files (default: <method>-<dim>d)")
+    train.add_argument("--dim", type=int, choices=[2, 3], default=2, help="dimension (default: 2)")
+    train.add_argument("--cells", type=_positive, default=64, metavar="N", help="cells along an axis (default: 64)")
+    train.add_argument("--steps", type=_positive, default=2000, metavar="N", help="steps (default: 2000)")
+    train.add_argument("--batch", type=_positive, default=8, metavar="N", help="samples a step (default: 8)")
+    train.add_argument("--rate", type=float, default=2e-3, metavar="R", help="learning rate (default: 0.002)")
+    train.add_argument("--seed", type=int, default=0, metavar="S", help="of everything random (default: 0)")
+    train.add_argument("--minutes", type=float, metavar="M", help="end after this time with what there is")
+    train.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="where (default: cpu)")
+    train.add_argument("--threads", type=_positive, default=1, metavar="N", help="of PyTorch (default: 1)")
+    train.add_argument(
+        "--route",
+        choices=["on_policy", "ritz"],
+        default="on_policy",
+        help="dcdm: errors that the solver leaves, or Ritz vectors as in the source (default: on_policy)",
+    )
+    train.add_argument("--model", default="masks", metavar="NAME", help="dcdm: network (default: masks)")
+    train.add_argument("--lanczos", type=_positive, default=1000, metavar="N", help="ritz: steps (default: 1000)")
+    train.add_argument(
+        "--samples", type=_positive, default=20000, metavar="N", help="ritz: right-hand sides (default: 20000)"
+    )
+    train.add_argument("--resume", action="store_true", help="go on from the folder's checkpoint")
+    train.add_argument("--quiet", action="store_true", help="no progress")
+
     schema = add("schema", _schema, "print the JSON schema of scene files, for editors", _SCHEMA_EPILOG)
     schema.add_argument("--markdown", action="store_true", help="print the reference of all keys as Markdown instead")
     add("info", _info, "print versions, PETSc packages, threads and optional parts", "")
@@ -537,6 +564,57 @@ examples:
 With the line below as the first of a scene, editors that know the YAML language server check and complete it:
   # yaml-language-server: $schema=femdeform.schema.json
 """
+
+
+_TRAIN_EPILOG = """\
+The folder gets weights (.npz) with their SHA-256, a card, a loss curve and a checkpoint. A scene names the weights:
+
+  linear_solver: {method: spd_lmg, weights: results/train-spd_lmg-2d/spd_lmg-2d.npz}
+
+Networks of dcdm: source-64, source-128, no-bias, masks, no-residual, no-pooling, no-skip, narrow. Needs PyTorch:
+pip install 'femdeform[learned]'.
+
+examples:
+  femdeform train spd_lmg --dim 2 --cells 64 --steps 4000
+  femdeform train dcdm --dim 3 --cells 64 --model source-64 --route ritz --device cuda
+  femdeform train dcdm --steps 4000 --resume
+"""
+
+
+def _train(arguments: argparse.Namespace) -> int:
+    import shlex
+
+    from femdeform import registry
+
+    settings, train = (registry.resolve(registry.TRAIN[key]) for key in ("settings", "run"))
+    kind, dim = arguments.kind, arguments.dim
+    told = vars(arguments)
+    names = (
+        "dim",
+        "cells",
+        "steps",
+        "batch",
+        "rate",
+        "seed",
+        "minutes",
+        "device",
+        "route",
+        "model",
+        "lanczos",
+        "samples",
+    )
+    out = arguments.out or Path("results") / f"train-{kind}-{dim}d"
+    registry.resolve(registry.TRAIN["threads"])(arguments.threads)
+    command = shlex.join(["femdeform", *(word for word in sys.argv[1:] if word != "--resume")])
+    for path in train(
+        settings(kind, out, **{name: told[name] for name in names}),
+        arguments.name or f"{kind}-{dim}d",
+        command,
+        arguments.resume,
+        arguments.quiet,
+    ):
+        print(path)
+    return 0
 
 
 def _schema(arguments: argparse.Namespace) -> int:

@@ -30,8 +30,10 @@ COURSES: dict[str, str] = {
     "material_points": "femdeform.run.point_course:PointCourse",
 }
 
-# Makes what solves for the pressure of a flow.
-PRESSURE_SOLVER = "solvers.linear.poisson.make:make_pressure_solver"
+# Makes makers of what solves for the pressure of a flow.
+PRESSURE_SOLVER = "solvers.linear.poisson.make:PressureSolverMaker"
+# The path of a file of learned weights, as seen from a folder.
+WEIGHTS_PATH = "solvers.linear.poisson.make:weights_path"
 
 LINEAR_SOLVERS: dict[str, str] = {
     "ksp": "solvers.linear.ksp:KSP",
@@ -57,6 +59,12 @@ PARTITIONER = "solvers.linear.partition:partition_cells"
 
 BENCHMARKS: dict[str, str] = {
     "run": "verification.benchmarks.run:run_benchmarks",
+}
+
+TRAIN: dict[str, str] = {
+    "settings": "solvers.linear.poisson.training.settings:TrainingSettings",
+    "run": "solvers.linear.poisson.training.command:train_command",
+    "threads": "torch:set_num_threads",
 }
 
 VERIFY: dict[str, str] = {

@@ -38,6 +38,7 @@ class PressureSystem:
     Attributes
     ----------
     dim : int
+        2 for a grid of one layer, however `labels` came.
     shape : tuple of int
         Of the grid without padding, (nx, ny, nz).
     labels : (nx + 2, ny + 2, nz + 2) uint8
@@ -55,8 +56,8 @@ class PressureSystem:
             raise ValueError(f"labels have {labels.ndim} dimensions, not 2 or 3")
         if labels.size == 0 or int(labels.max()) > AIR:
             raise ValueError(f"labels are {FLUID} (fluid), {SOLID} (solid) and {AIR} (air)")
-        self.dim = labels.ndim
         whole = labels.reshape(*labels.shape, 1) if labels.ndim == 2 else labels
+        self.dim = 2 if whole.shape[2] == 1 else 3
         self.shape = (int(whole.shape[0]), int(whole.shape[1]), int(whole.shape[2]))
         self.labels = np.pad(whole.astype(np.uint8), 1, constant_values=SOLID)
         fluid, passable = self.labels == FLUID, self.labels != SOLID

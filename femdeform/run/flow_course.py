@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from femdeform import registry
 from femdeform.errors import InputError
 from femdeform.flow.curl import vorticity
 from femdeform.flow.mac_grid import ProjectionReport
@@ -20,8 +21,12 @@ from femdeform.run.flow_setup import build_flow
 from femdeform.run.inputs import RunInput
 from femdeform.run.vti import VTIWriter
 from femdeform.scene.mesh_files import with_absolute_paths
+from femdeform.scene.pressure_schema import LearnedPressureSolver
 from femdeform.step_problem import IterationObserver
 from femdeform.types import FloatArray
+
+# Where a learned pressure solver was stopped or put aside.
+SOLVER_LOG = "linear_solver.log"
 
 COLUMNS = (
     "step",
@@ -90,8 +95,12 @@ class FlowCourse:
         scene = given.loaded.scene
         assert scene.simulation == "incompressible_flow"
         self._given, self._scene = given, scene
-        self.flow = build_flow(scene, given.meshes)
+        make = registry.resolve(registry.PRESSURE_SOLVER)
+        self._make_solver = make(scene.linear_solver, given.loaded.base_dir)
+        self.flow = build_flow(scene, given.meshes, self._make_solver)
         self._meter = FlowMeter(scene, self.flow.grid)
+        self._events: list[str] = self._make_solver.events
+        self._folder: Path | None = None
         self._measured: dict[str, float] = {}
         grid = self.flow.grid
         self.writer = VTIWriter(grid.shape, grid.spacing, grid.origin.tolist())
@@ -129,6 +138,7 @@ class FlowCourse:
 
     def row(self, state: FlowState, report: FlowReport) -> dict[str, float | int | str]:
         """Divergence, energies and what the scene measures."""
+        self._log_events(state.step)
         grid = self.flow.grid
         self._measured = {f"measure.{name}": value for name, value in self._meter.evaluate(state).items()}
         return {
@@ -223,16 +233,29 @@ class FlowCourse:
             "solids": list(self._scene.solids),
         }
 
+    def _log_events(self, step: int) -> None:
+        """Write down where a learned pressure solver was stopped or put aside."""
+        if self._events and self._folder is not None:
+            with (self._folder / SOLVER_LOG).open("a", encoding="utf-8") as log:
+                log.writelines(f"step {step}: {text}\n" for text in self._events)
+        self._events.clear()
+
     def resolve(self, resolved: dict[str, Any]) -> None:
-        """Make the paths of mesh files absolute."""
+        """Make the paths of files absolute."""
         with_absolute_paths(self._given.loaded, resolved)
+        options = self._scene.linear_solver
+        if isinstance(options, LearnedPressureSolver) and options.weights is not None:
+            path = registry.resolve(registry.WEIGHTS_PATH)(options.weights, self._given.loaded.base_dir)
+            resolved["linear_solver"]["weights"] = path
 
     def write_beside(self, folder: Path) -> list[str]:
-        """Nothing."""
+        """Nothing yet; remember where to write what the pressure solver tells."""
+        self._folder = folder
         return []
 
     def reset(self) -> None:
-        """There is nothing to forget."""
+        """Forget which solver was the faster one."""
+        self._make_solver.reset()
 
     def destroy(self) -> None:
         """Free what the pressure solver holds."""

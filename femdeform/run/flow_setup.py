@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from femdeform import registry
-from femdeform.flow.mac_grid import MACGrid
+from femdeform.flow.mac_grid import MACGrid, PressureSolver
 from femdeform.flow.pressure_system import PressureSystem
 from femdeform.flow.smoke import MovingSolid, SmokeFlow, Source
 from femdeform.flow.voxels import voxels_inside
@@ -20,7 +19,9 @@ from femdeform.types import FloatArray, IntArray, Mesh
 _SIDES = {"left": (0, 0), "right": (0, -1), "bottom": (1, 0), "top": (1, -1), "back": (2, 0), "front": (2, -1)}
 
 
-def build_flow(scene: FlowScene, meshes: Mapping[str, Mesh]) -> SmokeFlow:
+def build_flow(
+    scene: FlowScene, meshes: Mapping[str, Mesh], make_solver: Callable[[PressureSystem], PressureSolver]
+) -> SmokeFlow:
     """Wire a scene.
 
     Parameters
@@ -29,6 +30,8 @@ def build_flow(scene: FlowScene, meshes: Mapping[str, Mesh]) -> SmokeFlow:
         Checked by `femdeform.scene.flow_checks`.
     meshes : mapping of str to Mesh
         Of its solids.
+    make_solver : callable
+        Makes what solves for the pressure.
 
     Raises
     ------
@@ -44,11 +47,6 @@ def build_flow(scene: FlowScene, meshes: Mapping[str, Mesh]) -> SmokeFlow:
             solid |= voxels_inside(grid, *surface)
         else:
             moving.append(_moving_solid(grid, *surface, block.motion))
-    make = registry.resolve(registry.PRESSURE_SOLVER)
-
-    def make_solver(system: PressureSystem) -> Any:
-        return make(scene.linear_solver, system)
-
     sources = [
         Source(
             _voxels_of(source.region, grid),

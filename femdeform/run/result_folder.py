@@ -25,6 +25,7 @@ _OWN_FILES = (
     "resolved.yaml",
     "result.json",
     "history.csv",
+    "linear_solver.log",
     "iterations.csv",
     "frames.pvd",
     *_FINAL,

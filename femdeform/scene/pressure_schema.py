@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from femdeform.scene.scene_model import SceneModel, default_tag
 
@@ -50,15 +50,58 @@ class GAMGPressureSolver(_PressureModel):
     method: Literal["gamg"] = Field(description="conjugate gradients with PETSc's algebraic multigrid")
 
 
+class _LearnedPressureModel(_PressureModel):
+    weights: str | None = Field(
+        default=None,
+        min_length=1,
+        description="name of shipped weights, or a file `.npz` made by `femdeform train`, beside the scene; default: "
+        "the shipped ones for the grid's dimension",
+    )
+    fallback: Literal["mg_pcg", "none"] = Field(
+        default="mg_pcg", description="what goes on where the learned solver is slow or fails; none: nothing"
+    )
+    compare_times: bool = Field(
+        default=False,
+        description="whether every 50th solve is made with multigrid too, and the slower solver is put aside until the "
+        "next; results then depend on how fast the machine was",
+    )
+
+    @model_validator(mode="after")
+    def _compare_with_something(self) -> _LearnedPressureModel:
+        if self.compare_times and self.fallback == "none":
+            raise ValueError("compare_times needs a fallback, which may be the faster one")
+        return self
+
+
+class DCDMPressureSolver(_LearnedPressureModel):
+    method: Literal["dcdm"] = Field(description="deep conjugate directions: search directions of a network")
+    kept: int | Literal["all"] = Field(
+        default=2, description="earlier directions that a new one is made A-orthogonal to, at least 1, or all"
+    )
+
+    @field_validator("kept")
+    @classmethod
+    def _keep_one(cls, value: int | str) -> int | str:
+        if isinstance(value, int) and value < 1:
+            raise ValueError("at least one direction has to be kept")
+        return value
+
+
+class SPDLMGPressureSolver(_LearnedPressureModel):
+    method: Literal["spd_lmg"] = Field(description="conjugate gradients with a learned multigrid cycle")
+
+
+ClassicalPressureSolver = (
+    MultigridPressureSolver
+    | CGPressureSolver
+    | ICCPressureSolver
+    | DeflatedPressureSolver
+    | HyprePressureSolver
+    | GAMGPressureSolver
+)
+LearnedPressureSolver = DCDMPressureSolver | SPDLMGPressureSolver
+
 PressureSolver = Annotated[
-    Annotated[
-        MultigridPressureSolver
-        | CGPressureSolver
-        | ICCPressureSolver
-        | DeflatedPressureSolver
-        | HyprePressureSolver
-        | GAMGPressureSolver,
-        Field(discriminator="method"),
-    ],
+    Annotated[ClassicalPressureSolver | LearnedPressureSolver, Field(discriminator="method")],
     BeforeValidator(default_tag("method", "mg_pcg")),
 ]

@@ -77,6 +77,12 @@ SOME_SCENE = {
     "time": {"scheme": "quasistatic", "dt": 0.1},
 }
 
+SOME_FLOW = {
+    "simulation": "incompressible_flow",
+    "grid": {"cells": [32, 32], "cell_size": 0.03},
+    "time": {"dt": 0.02, "end": 1.0},
+}
+
 
 @pytest.mark.parametrize("fence", [fence for fence in FENCES if fence.language == "yaml"], ids=where)
 def test_yaml_passes_its_schema(fence: Fence) -> None:
@@ -91,6 +97,8 @@ def test_yaml_passes_its_schema(fence: Fence) -> None:
         model, whole = batch_schema.Study, {"scene": "scene.yaml", "sweep": {"grid": {"time.dt": [0.1]}}, **data}
     elif data.get("simulation") == "incompressible_flow":
         model, whole = FlowScene, data
+    elif "boundaries" in data:
+        model, whole = FlowScene, {**SOME_FLOW, **data}
     elif set(data) <= set(schema.DeformableScene.model_fields):
         model, whole = schema.DeformableScene, {**SOME_SCENE, **data}
     else:

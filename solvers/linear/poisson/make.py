@@ -2,20 +2,94 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from femdeform.flow.pressure_system import PressureSystem
 from femdeform.scene import pressure_schema as schema
 from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.deflation import DeflatedConjugateGradients
-from solvers.linear.poisson.incomplete_cholesky import IncompleteCholesky
+from solvers.linear.poisson.guard import MULTIGRID_LIMITS, FasterOf, Guarded, SpeedRule
+from solvers.linear.poisson.incomplete_cholesky import MODIFIED, IncompleteCholesky
 from solvers.linear.poisson.interface import PoissonSolver
+from solvers.linear.poisson.make_learned import make_learned_solver
 from solvers.linear.poisson.multigrid import Multigrid
 from solvers.linear.poisson.petsc_pressure import PETScPressure
+from solvers.linear.poisson.weights_file import Weights, load_weights
 
 
-def make_pressure_solver(options: schema.PressureSolver, system: PressureSystem) -> PoissonSolver:
-    """Make a solver for one system.
+class PressureSolverMaker:
+    """Makes a solver for one system after another: the voxels of moving solids change.
+
+    Parameters
+    ----------
+    options : PressureSolver
+    folder : Path
+        Where files of weights are named from.
+
+    Attributes
+    ----------
+    events : list of str
+        A line for each time that a learned solver was stopped or put aside.
+    """
+
+    def __init__(self, options: schema.PressureSolver, folder: Path) -> None:
+        self._options = options
+        self._folder = folder
+        self.events: list[str] = []
+        self._weights: Weights | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget which solver was the faster one."""
+        self._rule = SpeedRule(self.events)
+
+    def __call__(self, system: PressureSystem) -> PoissonSolver:
+        """Make a solver.
+
+        Raises
+        ------
+        MissingDependencyError
+            If it needs PETSc, which is not there.
+        InputError
+            If there are no such weights, or they are damaged or of another kind.
+        """
+        options = self._options
+        if not isinstance(options, schema.LearnedPressureSolver):
+            return make_classical_solver(options, system)
+        if self._weights is None:
+            self._weights = load_weights(weights_path(options.weights, self._folder), options.method, system.dim)
+        weights = self._weights
+
+        def multigrid() -> PoissonSolver:
+            return make_fallback(system, self.events)
+
+        def learned() -> PoissonSolver:
+            solver, limits = make_learned_solver(options, system, weights)
+            return solver if options.fallback == "none" else Guarded(solver, limits, multigrid, self.events)
+
+        return FasterOf(learned, multigrid, self._rule) if options.compare_times else learned()
+
+
+def weights_path(name: str | None, folder: Path) -> str | None:
+    """A file of weights as seen from `folder`; names stay as they are."""
+    return str((folder / name).resolve()) if name is not None and name.endswith(".npz") else name
+
+
+def make_fallback(system: PressureSystem, events: list[str]) -> PoissonSolver:
+    """Multigrid, and incomplete Cholesky factors where that takes too long."""
+    multigrid = ConjugateGradients(system, Multigrid(system), "mg_pcg")
+    return Guarded(
+        multigrid,
+        MULTIGRID_LIMITS,
+        lambda: ConjugateGradients(system, IncompleteCholesky(system, MODIFIED), "icc"),
+        events,
+    )
+
+
+def make_classical_solver(options: schema.ClassicalPressureSolver, system: PressureSystem) -> PoissonSolver:
+    """Make a solver that has learned nothing.
 
     Raises
     ------

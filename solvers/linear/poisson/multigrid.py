@@ -11,13 +11,15 @@ from femdeform.flow.pressure_system import GridArray, PressureSystem, shifted
 from solvers.linear.poisson import multigrid_kernels as kernels
 
 # Constants per aggregate are twice too stiff: smooth errors come back half as large as they should.
-_OVERCORRECTION = 2.0
-_COARSEST_SWEEPS = 20
+OVERCORRECTION = 2.0
+COARSEST_SWEEPS = 20
 _COARSEST_SIZE = 4
 
 
 @dataclass
-class _Level:
+class Level:
+    """Matrix, right-hand side and solution of a level; no `weights` where all couplings are -1."""
+
     diagonal: Any
     weights: Any
     b: GridArray
@@ -68,7 +70,7 @@ class Multigrid:
     def __init__(self, system: PressureSystem, sweeps: int = 2, dtype: type[np.floating[Any]] = np.float32) -> None:
         self.system = system
         self.sweeps = sweeps
-        self.levels = [_Level(system.diagonal, (), system.new_field(dtype), system.new_field(dtype))]
+        self.levels = [Level(system.diagonal, (), system.new_field(dtype), system.new_field(dtype))]
         unknown = system.unknown
         weights = [(unknown & shifted(unknown, axis, 1)).astype(float) for axis in range(3)]
         air = (system.diagonal - _row_sums(weights)) * unknown
@@ -80,7 +82,7 @@ class Multigrid:
             weights = [_summed(_faces(w, axis), shape) for axis, w in enumerate(weights)]
             diagonal = (_row_sums(weights) + air).astype(dtype)
             stored = tuple(w.astype(dtype) for w in weights)
-            self.levels.append(_Level(diagonal, stored, np.zeros_like(diagonal), np.zeros_like(diagonal)))
+            self.levels.append(Level(diagonal, stored, np.zeros_like(diagonal), np.zeros_like(diagonal)))
 
     def apply(self, r: GridArray, z: GridArray) -> None:
         """One V-cycle from zero; see `Preconditioner`."""
@@ -92,14 +94,14 @@ class Multigrid:
         level = self.levels[k]
         level.x[...] = 0.0
         is_coarsest = k == len(self.levels) - 1
-        sweeps = _COARSEST_SWEEPS if is_coarsest else self.sweeps
+        sweeps = COARSEST_SWEEPS if is_coarsest else self.sweeps
         for _ in range(sweeps):
             level.sweep(0)
         if not is_coarsest:
             coarse = self.levels[k + 1]
             level.restrict(coarse.b)
             self._cycle(k + 1)
-            kernels.prolong(coarse.x, level.diagonal, level.x.dtype.type(_OVERCORRECTION), level.x)
+            kernels.prolong(coarse.x, level.diagonal, level.x.dtype.type(OVERCORRECTION), level.x)
         for _ in range(sweeps):
             level.sweep(1)
 

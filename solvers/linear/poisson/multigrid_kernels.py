@@ -68,7 +68,7 @@ def _residual_finest(diagonal: Any, b: Any, x: Any, i: Any, j: Any, k: Any) -> A
 
 
 @njit
-def _residual(diagonal: Any, wx: Any, wy: Any, wz: Any, b: Any, x: Any, i: Any, j: Any, k: Any) -> Any:
+def residual_at(diagonal: Any, wx: Any, wy: Any, wz: Any, b: Any, x: Any, i: Any, j: Any, k: Any) -> Any:
     around = (
         wx[i - 1, j, k] * x[i - 1, j, k]
         + wx[i, j, k] * x[i + 1, j, k]
@@ -108,7 +108,7 @@ def restrict(diagonal: Any, wx: Any, wy: Any, wz: Any, b: Any, x: Any, coarse: A
                 for i in range(2 * ci - 1, min(2 * ci + 1, nx)):
                     for j in range(2 * cj - 1, min(2 * cj + 1, ny)):
                         for k in range(2 * ck - 1, min(2 * ck + 1, nz)):
-                            total += _residual(diagonal, wx, wy, wz, b, x, i, j, k)
+                            total += residual_at(diagonal, wx, wy, wz, b, x, i, j, k)
                 coarse[ci, cj, ck] = total
 
 

@@ -141,6 +141,7 @@ def test_a_solid_keeps_smoke_out_and_drives_the_air(tmp_path: Path) -> None:
         {"method": "icc", "modification": 0.0},
         {"method": "deflated_cg", "n_vectors": 4},
         {"sweeps": 1, "precision": "float64"},
+        {"method": "spd_lmg"},
     ],
     ids=str,
 )

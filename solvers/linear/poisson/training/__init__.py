@@ -1,0 +1,1 @@
+"""Training of the learned pressure solvers. Only this package needs PyTorch."""

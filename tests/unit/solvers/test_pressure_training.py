@@ -1,0 +1,126 @@
+"""Training: the differentiable cycle is the compiled one, steps lower the loss, resumed runs repeat unbroken ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from femdeform.cli import main  # noqa: E402
+from femdeform.flow.pressure_system import PressureSystem  # noqa: E402
+from solvers.linear.poisson import spd_lmg_network as network  # noqa: E402
+from solvers.linear.poisson.dcdm_network import (  # noqa: E402
+    Architecture,
+    NumPyOperations,
+    evaluate,
+    glorot_parameters,
+)
+from solvers.linear.poisson.spd_lmg import LearnedMultigrid  # noqa: E402
+from solvers.linear.poisson.training.domains import random_labels  # noqa: E402
+from solvers.linear.poisson.training.learn_dcdm import TorchOperations  # noqa: E402
+from solvers.linear.poisson.training.ritz import ritz_pairs, ritz_right_sides  # noqa: E402
+from solvers.linear.poisson.training.torch_cycle import BatchCycle, domain_levels  # noqa: E402
+from solvers.linear.poisson.weights_file import load_weights  # noqa: E402
+
+torch.set_num_threads(1)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_both_evaluations_of_the_network_agree(dim: int) -> None:
+    architecture = Architecture(dim, masks=True, channels=6)
+    rng = np.random.default_rng(0)
+    parameters = glorot_parameters(architecture, rng)
+    x = rng.standard_normal((*(12, 8, 6)[:dim], 3)).astype(np.float32)
+    ours = evaluate(architecture, parameters, x, NumPyOperations())
+    tensors = {name: torch.tensor(values) for name, values in parameters.items()}
+    theirs = evaluate(architecture, tensors, torch.tensor(np.moveaxis(x, -1, 0))[None], TorchOperations())
+    np.testing.assert_allclose(np.moveaxis(theirs[0].numpy(), 0, -1), ours, atol=1e-4 * np.abs(ours).max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_both_cycles_agree(dim: int) -> None:
+    rng = np.random.default_rng(3)
+    parameters = network.start_parameters(dim, rng)
+    for name, values in parameters.items():
+        if ".heads." in name or name == "factors":
+            values[...] = 0.2 * rng.standard_normal(values.shape)
+    systems = [PressureSystem(random_labels((16, 12, 10)[:dim], rng)) for _ in range(3)]
+    cycle = BatchCycle([domain_levels(s) for s in systems], dim, "cpu")
+    residuals = [s.extend(rng.standard_normal(s.n_unknowns)) for s in systems]
+    batch = np.stack([r[..., 1] if dim == 2 else r for r in residuals]).astype(np.float32)
+    tensors = {name: torch.tensor(values) for name, values in parameters.items()}
+    found = cycle.apply(cycle.prepare(tensors), torch.tensor(batch)).numpy()
+    for system, r, z in zip(systems, residuals, found, strict=True):
+        expected = system.new_field()
+        LearnedMultigrid(system, parameters).apply(r, expected)
+        ours = expected[..., 1] if dim == 2 else expected
+        np.testing.assert_allclose(z, ours, atol=3e-4 * np.abs(ours).max())
+
+
+def test_ritz_vectors() -> None:
+    system = PressureSystem(np.zeros((12, 10), dtype=np.uint8))
+    values, vectors = ritz_pairs(system, 200, np.random.default_rng(0))
+    A = system.matrix()
+    np.testing.assert_allclose(vectors.T @ vectors, np.eye(vectors.shape[1]), atol=1e-5)
+    np.testing.assert_allclose(vectors.T @ (A @ vectors), np.diag(values), atol=1e-5)
+    np.testing.assert_allclose(A @ vectors[:, :5], vectors[:, :5] * values[:5], atol=1e-5)
+    exact = np.unique(np.round(np.linalg.eigvalsh(A.toarray()), 9))[1:]
+    np.testing.assert_allclose(values[:5], exact[:5], atol=1e-7)
+    sides = ritz_right_sides(vectors, 400, np.random.default_rng(1))
+    np.testing.assert_allclose(np.linalg.norm(sides, axis=1), 1.0, rtol=1e-5)
+    amplitudes = np.sqrt(((sides @ vectors) ** 2).mean(axis=0))
+    low = round(0.55 * vectors.shape[1])
+    assert amplitudes[:low].mean() == pytest.approx(9.0 * amplitudes[low:].mean(), rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "kind", ["spd_lmg", "dcdm", "dcdm --route ritz --lanczos 60 --samples 64 --model narrow --rate 1e-3"]
+)
+def test_training_learns_and_can_be_resumed(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from solvers.linear.poisson.training import loop
+
+    monkeypatch.setattr(loop, "_VALIDATIONS", 4)
+    monkeypatch.setattr(loop, "_MOST_ITERATIONS", 12)
+    common = ["train", *kind.split(), "--cells", "16", "--steps", "40", "--batch", "4", "--quiet", "--name", "made"]
+    assert main([*common, "--out", str(tmp_path / "whole")]) == 0
+    out = capsys.readouterr().out
+    for name in ("made.npz", "made.md", "made-loss.png"):
+        assert name in out
+        assert (tmp_path / "whole" / name).is_file()
+    whole = torch.load(tmp_path / "whole" / loop.CHECKPOINT, weights_only=False)["progress"]
+    assert len(whole["losses"]) == 40
+    if "dcdm" in kind:
+        assert np.mean(whole["losses"][-8:]) < np.mean(whole["losses"][:8])
+    assert min(v for _, v in whole["validations"]) <= whole["validations"][0][1]
+    # Broken off at the first validation after step 20, and resumed.
+    tell_until = loop._validate
+
+    def stop(learner: object, systems: object, progress: loop.Progress) -> None:
+        if progress.step > 20:
+            raise KeyboardInterrupt
+        tell_until(learner, systems, progress)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "_validate", stop)
+        assert main([*common, "--out", str(tmp_path / "broken")]) == 130
+    assert main([*common, "--out", str(tmp_path / "broken")]) == 2
+    assert main([*common, "--out", str(tmp_path / "broken"), "--resume"]) == 0
+    again = torch.load(tmp_path / "broken" / loop.CHECKPOINT, weights_only=False)["progress"]
+    np.testing.assert_allclose(again["losses"], whole["losses"], rtol=1e-6)
+    method = kind.split()[0]
+    ours, theirs = (load_weights(str(tmp_path / f / "made.npz"), method, 2) for f in ("whole", "broken"))
+    for name, values in ours.parameters.items():
+        np.testing.assert_allclose(theirs.parameters[name], values, atol=1e-7)
+    assert main([*common, "--out", str(tmp_path / "broken"), "--resume", "--seed", "3"]) == 2
+
+
+def test_faults_of_the_command(tmp_path: Path) -> None:
+    assert main(["train", "dcdm", "--cells", "15", "--out", str(tmp_path)]) == 2
+    assert main(["train", "dcdm", "--model", "none", "--out", str(tmp_path)]) == 2
+    assert main(["train", "dcdm", "--resume", "--cells", "16", "--out", str(tmp_path)]) == 2
