@@ -64,11 +64,6 @@ def _body_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
             yield Finding(("bodies", name, "muscles" if body.muscles else "muscle"), message)
         if body.mass == "consistent":
             yield Finding(("bodies", name, "mass"), "the grid takes its mass from nodes; use lumped")
-        if isinstance(body, schema.SolidBody) and scene.solver.method != "projected_newton":
-            message = "muscles in a grid go with projected_newton only; sweeps over it do not know fibres"
-            for key in ("muscle", "muscles"):
-                if getattr(body, key):
-                    yield Finding(("bodies", name, key), message)
 
 
 def _output_findings(scene: schema.DeformableScene) -> Iterator[Finding]:
