@@ -50,7 +50,7 @@ def flow_findings(scene: FlowScene, meshes: Mapping[str, Mesh]) -> Iterator[Find
     yield from _measure_findings(scene)
     if scene.dim == 2:
         for side in ("back", "front"):
-            if side in scene.boundaries.model_fields_set:
+            if getattr(scene.boundaries, side) == "open":
                 yield Finding(("boundaries", side), "a flow in the plane has no such side")
 
 
