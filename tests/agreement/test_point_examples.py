@@ -1,4 +1,4 @@
-"""Scenes of material points in scenes/mpm that show something; those that verify a number have a module of their own."""
+"""Examples among the scenes of scenes/mpm; those that verify a number have a module of their own."""
 
 from __future__ import annotations
 
