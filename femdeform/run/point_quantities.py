@@ -113,6 +113,8 @@ class PointMeter:
             return np.asarray(points.mass @ points.v)
         if kind == "angular_momentum":
             return angular_momentum(points, self._spacing)
+        if kind == "extent":
+            return np.asarray(np.ptp(points.x, axis=0))
         return np.asarray(points.x.max(axis=0) if kind == "highest" else points.x.min(axis=0))
 
     def _sum(self, kind: str, state: PointState, points: Particles) -> float:

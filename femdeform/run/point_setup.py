@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from femdeform.contact.obstacles import Box, Plane, Sphere
+from femdeform.errors import InputError
 from femdeform.materials import law_for
 from femdeform.mpm.explicit_laws import Laws, Liquid
-from femdeform.mpm.heat import HeatBoundary
 from femdeform.mpm.particle_sampling import sample_particles
 from femdeform.mpm.particles import LIQUID, SOLID, Particles
 from femdeform.mpm.phase_change import Melting
@@ -63,6 +63,11 @@ def make_points(scene: PointScene, meshes: Mapping[str, Mesh]) -> Particles:
         points = sample_particles(
             shape, scene.grid.cell_size, body.points_per_axis, body.density, body.jitter, body.seed
         )
+        for cut in body.without:
+            inside = _shape(cut, True, meshes, name).distance(points.x)[0] > 0.0
+            points = points.take(np.flatnonzero(~inside))
+        if points.n == 0:
+            raise InputError(f"bodies.{name}.without: nothing is left of the body")
         points.body[:] = number
         points.phase[:] = LIQUID if body.starts_liquid else SOLID
         if body.velocity is not None:
@@ -192,32 +197,6 @@ def _tension(block: schema.SurfaceTensionBlock) -> SurfaceTension:
 def _inside(box: tuple[tuple[float, ...], tuple[float, ...]]) -> Callable[[FloatArray], BoolArray]:
     low, high = (np.array(corner) for corner in box)
     return lambda points: np.asarray(((points >= low) & (points <= high)).all(axis=1))
-
-
-def heat_boundary(scene: PointScene, of_sample: np.ndarray[Any, np.dtype[np.int32]]) -> HeatBoundary:
-    """What enters through samples of the surface that belong to bodies (n_samples,)."""
-    blocks = [body.heat for body in scene.bodies.values()]
-    assert all(block is not None for block in blocks)
-    heats = [block for block in blocks if block is not None]
-    transfer = np.array([heat.transfer for heat in heats])[of_sample]
-    ambient = np.array([heat.ambient for heat in heats])[of_sample]
-
-    def flux(points: FloatArray, time: float) -> FloatArray:
-        values = np.zeros(len(points))
-        for number, heat in enumerate(heats):
-            here = (of_sample == number) & (time > heat.flux_start)
-            if heat.flux_within is not None:
-                here &= _in_arc(heat.flux_within, points, time)
-            values[here] = heat.flux
-        return values
-
-    return HeatBoundary(transfer, ambient, flux)
-
-
-def _in_arc(arc: schema.MovingArc, points: FloatArray, time: float) -> BoolArray:
-    offset = points[:, :2] - np.array(arc.center)[:2]
-    turn = np.arctan2(offset[:, 1], offset[:, 0]) - arc.start - arc.rate * time
-    return np.asarray(np.abs(np.angle(np.exp(1j * turn))) <= arc.half_angle)
 
 
 def heat_sources(scene: PointScene) -> FloatArray:

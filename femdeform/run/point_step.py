@@ -25,7 +25,8 @@ from femdeform.mpm.surface_coefficient import surface_coefficients, wall_distanc
 from femdeform.mpm.surface_forces import surface_forces
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
-from femdeform.run.point_setup import Materials, heat_boundary, heat_sources, make_materials, make_walls
+from femdeform.run.heated_places import heat_boundary
+from femdeform.run.point_setup import Materials, heat_sources, make_materials, make_walls
 from femdeform.scene.point_schema import PointScene
 from femdeform.step_problem import IterationObserver, StepSolver
 from femdeform.types import FloatArray, Mesh
@@ -176,7 +177,7 @@ class PointStep:
         samples = None
         if surface is not None:
             samples = surface.samples
-            boundary = heat_boundary(self.scene, points.body[samples.owner])
+            boundary = heat_boundary(self.scene, points, samples)
         report = self._heat.step(
             points,
             samples,

@@ -7,7 +7,16 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from femdeform.scene.mesh_schema import MeshSource
-from femdeform.scene.scene_model import Direction, Finite, NonNegative, Positive, SceneModel, Vector, as_tuple
+from femdeform.scene.scene_model import (
+    Direction,
+    Finite,
+    NonNegative,
+    Positive,
+    SceneModel,
+    Vector,
+    as_tuple,
+    default_tag,
+)
 from femdeform.scene.schema import Material
 from femdeform.scene.selection_schema import check_corners
 
@@ -146,10 +155,47 @@ class SurfaceTensionBlock(SceneModel):
 class MovingArc(SceneModel):
     """Heating of the surface within a sector that turns about a centre, in the x-y plane."""
 
+    kind: Literal["arc"] = Field(default="arc", description="sector that turns about a centre, in the x-y plane")
     center: Vector = Field(description="centre [m]")
     half_angle: Positive = Field(description="half of the sector's angle [rad]")
     start: Finite = Field(default=0.0, description="direction of its middle at time 0, from the x axis [rad]")
     rate: Finite = Field(default=0.0, description="rate of turning [rad/s]")
+
+
+class HeatedBox(SceneModel):
+    kind: Literal["box"] = Field(description="axis-parallel box")
+    min: Vector = Field(description="lowest corner [m]")
+    max: Vector = Field(description="highest corner [m]")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> HeatedBox:
+        if len(self.min) != len(self.max):
+            raise ValueError(f"max: has {len(self.max)} entries but min has {len(self.min)}")
+        check_corners("max", self.min, self.max)
+        return self
+
+
+class Wick(SceneModel):
+    """Heating of the surface around the end of a wick: where it comes out of the bodies, so it burns down with them."""
+
+    kind: Literal["wick"] = Field(description="ball about the place where a spline comes out of the bodies")
+    path: list[Vector] = Field(
+        min_length=2, description="points that the wick's spline passes through, from its foot to its end [m]"
+    )
+    radius: Positive = Field(description="radius of the heated ball [m]")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Wick:
+        if len({len(point) for point in self.path}) > 1:
+            raise ValueError("path: all points need as many coordinates")
+        if any(a == b for a, b in zip(self.path, self.path[1:], strict=False)):
+            raise ValueError("path: consecutive points must differ")
+        return self
+
+
+HeatedPlace = Annotated[
+    Annotated[MovingArc | HeatedBox | Wick, Field(discriminator="kind")], BeforeValidator(default_tag("kind", "arc"))
+]
 
 
 class HeatBlock(SceneModel):
@@ -158,7 +204,7 @@ class HeatBlock(SceneModel):
     transfer: NonNegative = Field(default=0.0, description="heat transfer coefficient of the surface [W/(m^2 K)]")
     ambient: Finite = Field(default=0.0, description="ambient temperature [K]")
     flux: Finite = Field(default=0.0, description="heating of the surface whatever its temperature [W/m^2]")
-    flux_within: MovingArc | None = Field(default=None, description="where the flux acts; default: everywhere")
+    flux_within: HeatedPlace | None = Field(default=None, description="where the flux acts; default: everywhere")
     flux_start: NonNegative = Field(default=0.0, description="time at which the flux begins [s]")
     source: Finite = Field(default=0.0, description="heating of the volume [W/m^3]")
 
@@ -187,6 +233,9 @@ class TemperatureStart(SceneModel):
 
 class PointBody(SceneModel):
     shape: Shape = Field(description="what it fills at the start")
+    without: list[Annotated[BoxShape | SphereShape | EllipsoidShape, Field(discriminator="kind")]] = Field(
+        default_factory=list, description="what is cut out of the shape"
+    )
     points_per_axis: int = Field(default=2, ge=1, le=8, description="points a cell and axis")
     jitter: float = Field(
         default=0.0, ge=0.0, le=1.0, description="random displacement of points over half their distance [-]"

@@ -146,9 +146,9 @@ class PointSumQuantity(SceneModel):
 
 
 class PointVectorQuantity(SceneModel):
-    kind: Literal["centroid", "linear_momentum", "angular_momentum", "highest", "lowest"] = Field(
+    kind: Literal["centroid", "linear_momentum", "angular_momentum", "highest", "lowest", "extent"] = Field(
         description="centre of mass [m], linear momentum [kg m/s], angular momentum about the origin [kg m^2/s], "
-        "highest and lowest coordinate of a point [m]"
+        "highest and lowest coordinate of a point, and the distance of the two [m]"
     )
     component: Component = Field(description="component, or the norm; in 2D angular momentum has z only")
     body: Name | None = Field(default=None, description="restrict to one body")

@@ -1,0 +1,58 @@
+"""Examples among the scenes of scenes/mpm; those that verify a number have a module of their own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from femdeform.cli import main
+from femdeform.run.batch_plan import expand
+from femdeform.scene.batch_schema import load_study
+from femdeform.scene.load import load_scene
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes" / "mpm"
+NAMES = sorted(path.stem for path in SCENES.glob("*.yaml") if not path.stem.startswith("verify-"))
+STUDIES = sorted(SCENES.parent.glob("studies/mpm-*.yaml"))
+# Scenes of a few seconds.
+QUICK = {"marangoni-drop-frictionless", "wine-glass"}
+
+
+def test_the_scenes_are_there() -> None:
+    assert len(NAMES) >= 10
+    assert set(NAMES) >= QUICK
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scene_has_no_faults_and_expects_something(name: str) -> None:
+    assert main(["check", str(SCENES / f"{name}.yaml")]) == 0
+    scene = load_scene(SCENES / f"{name}.yaml").scene
+    assert scene.simulation == "material_points"
+    assert scene.expect.measured
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
+def test_a_study_can_be_run(path: Path) -> None:
+    loaded = load_study(path)
+    runs = expand(loaded.study)
+    assert len(runs) > 2
+    for run in runs:
+        scene = load_scene(loaded.scene_path, list(run.overrides)).scene
+        assert set(loaded.study.scalars or []) <= {*scene.measure, "steps", "wall_seconds"}  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.gallery) for name in NAMES]
+)
+def test_example(name: str, cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
+    out = tmp_path / "result"
+    finished = cli("run", SCENES / f"{name}.yaml", "--out", out)
+    assert finished.returncode == 0, finished.stderr
+    facts = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    assert facts["status"] == "done"
+    assert facts["expect"]
+    assert all(verdict["passed"] for verdict in facts["expect"])
