@@ -25,6 +25,7 @@ from femdeform.run.setup import Simulation
 from femdeform.scene import batch_schema, mesh_schema, schema
 from femdeform.scene.comparison_schema import ComparisonFile
 from femdeform.scene.flow_schema import FlowScene
+from femdeform.scene.kinds import Scene
 from femdeform.scene.validation import find_faults
 from femdeform.step_problem import Budget, StepResult
 from verification.study_schema import StudyFile
@@ -95,8 +96,8 @@ def test_yaml_passes_its_schema(fence: Fence) -> None:
         model, whole = ComparisonFile, data
     elif "sweep" in data or "scalars" in data:
         model, whole = batch_schema.Study, {"scene": "scene.yaml", "sweep": {"grid": {"time.dt": [0.1]}}, **data}
-    elif data.get("simulation") == "incompressible_flow":
-        model, whole = FlowScene, data
+    elif "simulation" in data:
+        model, whole = Scene, data
     elif "boundaries" in data:
         model, whole = FlowScene, {**SOME_FLOW, **data}
     elif set(data) <= set(schema.DeformableScene.model_fields):
