@@ -203,6 +203,11 @@ class PointBody(SceneModel):
     angular_velocity: Finite | Vector | None = Field(
         default=None, description="rate of turning about the centre at the start [rad/s]; a vector in 3D"
     )
+    velocity_gradient: Annotated[list[Vector], Field(min_length=2, max_length=3)] | None = Field(
+        default=None,
+        description="its change with the place at the start, about the centre of mass: rows are those of a component "
+        "[1/s]",
+    )
     temperature: Finite | TemperatureStart = Field(default=0.0, description="temperature at the start [K]")
     surface_tension: SurfaceTensionBlock | None = Field(default=None, description="tension of its surface")
     heat: HeatBlock | None = Field(default=None, description="conduction of heat; all bodies have it, or none")
