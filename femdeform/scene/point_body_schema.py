@@ -16,11 +16,11 @@ from femdeform.scene.selection_schema import check_corners
 
 class LinearFunction(SceneModel):
     kind: Literal["linear"] = Field(description="linear in the temperature, between two limits")
-    value: Finite = Field(description="value at `reference`, in the unit of what it stands for")
-    slope: Finite = Field(description="change of the value by kelvin, in its unit [1/K]")
+    value: Finite = Field(description="value at `reference` [unit of what it stands for]")
+    slope: Finite = Field(description="change of the value by kelvin [that unit/K]")
     reference: Finite = Field(description="reference temperature [K]")
-    lowest: Finite | None = Field(default=None, description="lower limit, in the unit of the value")
-    highest: Finite | None = Field(default=None, description="upper limit, in the unit of the value")
+    lowest: Finite | None = Field(default=None, description="lower limit [that unit]")
+    highest: Finite | None = Field(default=None, description="upper limit [that unit]")
 
     @model_validator(mode="after")
     def _ordered(self) -> LinearFunction:
@@ -32,7 +32,7 @@ class LinearFunction(SceneModel):
 class TableFunction(SceneModel):
     kind: Literal["table"] = Field(description="linear between given temperatures, constant beyond")
     temperatures: list[Finite] = Field(min_length=1, description="ascending temperatures [K]")
-    values: list[Finite] = Field(min_length=1, description="a value for each, in the unit of what it stands for")
+    values: list[Finite] = Field(min_length=1, description="a value for each [unit of what it stands for]")
 
     @model_validator(mode="after")
     def _consistent(self) -> TableFunction:
