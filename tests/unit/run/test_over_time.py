@@ -175,3 +175,17 @@ def test_transfers_without_affine_velocities_start_without(tmp_path: Path, schem
     lost = facts(out)["expect"][0]["computed"]
     assert 0.6 < lost / (start * 0.0625**2 / 0.15**2) < 1.0
     assert facts(out)["quantities"]["measure.spin"] == pytest.approx(start - lost, rel=1e-6)
+
+
+def test_the_virial_is_that_of_pressure_and_surface(tmp_path: Path) -> None:
+    kinds = {"p": "mean_pressure", "V": "volume", "E": "surface_energy", "virial": "virial"}
+    out = run(
+        tmp_path,
+        time={"scheme": "explicit", "dt": 0.005, "end": 0.2},
+        surface_tension={"liquid_gas": 0.2},
+        measure={name: {"kind": kind} for name, kind in kinds.items()},
+    )
+    p, V, E, virial = (read_table(out / "history.csv")[f"measure.{name}"] for name in kinds)
+    np.testing.assert_allclose(virial, 2.0 * p * V / E - 1.0, rtol=1e-9, atol=1e-12)
+    dry = run(tmp_path, "dry", time={"scheme": "explicit"}, measure={"v": {"kind": "virial"}})
+    assert np.isnan(read_table(dry / "history.csv")["measure.v"]).all()
