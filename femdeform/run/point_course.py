@@ -17,6 +17,7 @@ from femdeform.run.checkpoint import START_ANEW
 from femdeform.run.course import Columns, Fields, FrameData
 from femdeform.run.expectations import crossing_verdicts, largest_of, measured_verdicts, verdict
 from femdeform.run.inputs import RunInput
+from femdeform.run.over_time import over_time_verdicts
 from femdeform.run.point_quantities import PointMeter, PointState, kinetic_energy, pressures, volume_ratios
 from femdeform.run.point_setup import make_points
 from femdeform.run.point_step import PointReport, PointStep, law_densities
@@ -190,8 +191,9 @@ class PointCourse:
             found.append(verdict("residual", largest_of(history, "relative_residual"), expect.residual))
         values = self._meter.evaluate(state) if expect.measured else {}
         found += measured_verdicts(expect.measured, values)
-        start = self._meter.evaluate(self.start) if expect.time_to_reach else {}
-        return found + crossing_verdicts(expect.time_to_reach, history, start)
+        start = self._meter.evaluate(self.start) if expect.time_to_reach or expect.over_time else {}
+        found += crossing_verdicts(expect.time_to_reach, history, start)
+        return found + over_time_verdicts(expect.over_time, history, start)
 
     def facts(self) -> dict[str, Any]:
         """Solver, sizes, and what pictures show beside the points."""

@@ -10,9 +10,11 @@ import numpy as np
 
 from femdeform.mpm.heat import current_volumes
 from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.mpm.surface_sampling import SurfaceSampler
 from femdeform.mpm.transfers import spin
 from femdeform.run.point_setup import Materials
-from femdeform.scene.point_schema import PointScene, PointVectorQuantity, SecondMomentQuantity
+from femdeform.scene.point_quantity_schema import ContactAngleQuantity
+from femdeform.scene.point_schema import PointScene, PointVectorQuantity, Region, SecondMomentQuantity
 from femdeform.types import BoolArray, FloatArray
 
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -64,6 +66,42 @@ def volume_ratios(points: Particles) -> FloatArray:
     return np.asarray(current_volumes(points) / points.volume)
 
 
+def apparent_angle(distance: FloatArray, samples: FloatArray, wall_normal: FloatArray, spacing: float) -> float:
+    """Contact angle through the liquid of the circle, in 3D the sphere, that fits a free surface best [degrees].
+
+    Samples within one and a half cells of the wall are left out; the circle is that of least squares of
+    ``|x|^2 - 2 c . x + (|c|^2 - R^2)``, less half a cell, by which the contour lies outside of the liquid.
+
+    Parameters
+    ----------
+    distance : (n,) float64
+        Of the samples from the wall [m].
+    samples : (n, dim) float64
+        Samples of the whole surface [m].
+    wall_normal : (dim,) float64
+        Unit normal towards the liquid.
+    spacing : float
+        Cell size [m].
+
+    Returns
+    -------
+    float
+        In [0, 180]; 180 also where the circle does not reach the wall; nan with too few samples.
+    """
+    far = distance > 1.5 * spacing
+    x = samples[far]
+    if len(x) < 2 * (x.shape[1] + 1):
+        return float("nan")
+    origin = x.mean(axis=0)
+    y = x - origin
+    system = np.column_stack([2.0 * y, np.ones(len(y))])
+    solution = np.linalg.lstsq(system, (y**2).sum(axis=1), rcond=None)[0]
+    center = solution[:-1]
+    radius = float(np.sqrt(solution[-1] + center @ center)) - 0.5 * spacing
+    height = float(distance[far].mean() + center @ wall_normal)
+    return float(np.rad2deg(np.arccos(np.clip(-height / radius, -1.0, 1.0))))
+
+
 class PointMeter:
     """Evaluates the quantities of a scene's `measure` block.
 
@@ -76,6 +114,9 @@ class PointMeter:
     def __init__(self, scene: PointScene, materials: Materials) -> None:
         self._spacing = scene.grid.cell_size
         self._materials = materials
+        surface = scene.surface
+        self._sampler = SurfaceSampler(self._spacing, surface.density, surface.radius, surface.seed)
+        self._walls = scene.walls
         self._numbers = {name: number for number, name in enumerate(scene.bodies)}
         self._functions = {name: self._function(quantity) for name, quantity in scene.measure.items()}
 
@@ -94,6 +135,11 @@ class PointMeter:
             if quantity.body is not None:
                 mine: BoolArray = points.body == self._numbers[quantity.body]
                 points = points.take(np.flatnonzero(mine))
+            region = getattr(quantity, "within", None)
+            if region is not None:
+                points = points.take(np.flatnonzero(_inside(region, points.x)))
+            if isinstance(quantity, ContactAngleQuantity):
+                return self._contact_angle(quantity, points, state)
             if isinstance(quantity, PointVectorQuantity):
                 vector = self._vector(quantity.kind, points)
                 if quantity.component == "norm":
@@ -106,7 +152,24 @@ class PointMeter:
 
         return evaluate
 
+    def _contact_angle(self, quantity: ContactAngleQuantity, points: Particles, state: PointState) -> float:
+        if not points.n:
+            return float("nan")
+        wall = self._walls[quantity.wall]
+        assert wall.shape.kind == "plane"
+        normal = np.array(wall.shape.normal) / np.linalg.norm(wall.shape.normal)
+        moved = np.array(wall.shape.point) + (0.0 if wall.velocity is None else np.array(wall.velocity) * state.time)
+        samples = self._sampler.sample(points.x, state.step).points
+        return apparent_angle((samples - moved) @ normal, samples, normal, self._spacing)
+
     def _vector(self, kind: str, points: Particles) -> FloatArray:
+        if not points.n:
+            return np.full(3, np.nan)
+        if kind == "mean_velocity":
+            return np.asarray(points.mass @ points.v / points.mass.sum())
+        if kind == "thermal_moment":
+            away = points.x - points.mass @ points.x / points.mass.sum()
+            return np.asarray((points.mass * points.temperature) @ away / points.mass.sum())
         if kind == "centroid":
             return np.asarray(points.mass @ points.x / points.mass.sum())
         if kind == "linear_momentum":
@@ -118,7 +181,11 @@ class PointMeter:
         return np.asarray(points.x.max(axis=0) if kind == "highest" else points.x.min(axis=0))
 
     def _sum(self, kind: str, state: PointState, points: Particles) -> float:
+        if kind == "virial":
+            return self._virial(state, points)
         mass, T = points.mass, points.temperature
+        if not points.n and kind not in ("mass", "volume", "kinetic_energy", "max_speed", "heat"):
+            return float("nan")
         if kind == "surface_area":
             return state.surface_area
         if kind == "surface_energy":
@@ -138,6 +205,12 @@ class PointMeter:
         }
         return float(known[kind]())
 
+    def _virial(self, state: PointState, points: Particles) -> float:
+        if state.surface_energy == 0.0:
+            return float("nan")
+        part = current_volumes(points) @ pressures(points, self._materials)
+        return float(points.dim * part / ((points.dim - 1) * state.surface_energy) - 1.0)
+
     def _heat(self, points: Particles) -> float:
         capacity = self._materials.capacity
         return float("nan") if capacity is None else float((points.mass * capacity[points.body]) @ points.temperature)
@@ -145,3 +218,9 @@ class PointMeter:
     def _mean_pressure(self, points: Particles) -> float:
         volumes = np.where(points.phase == LIQUID, current_volumes(points), 0.0)
         return float(volumes @ pressures(points, self._materials) / volumes.sum()) if volumes.any() else float("nan")
+
+
+def _inside(region: Region, x: FloatArray) -> BoolArray:
+    if region.kind == "box":
+        return np.asarray(((x >= np.array(region.min)) & (x <= np.array(region.max))).all(axis=1))
+    return np.asarray(((x - np.array(region.center)) ** 2).sum(axis=1) <= region.radius**2)

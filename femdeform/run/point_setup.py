@@ -73,24 +73,32 @@ def make_points(scene: PointScene, meshes: Mapping[str, Mesh]) -> Particles:
         if body.velocity is not None:
             points.v[:] = body.velocity
         if body.angular_velocity is not None:
-            _turn(points, body.angular_velocity)
+            _move(points, _turning(body.angular_velocity, points.dim))
+        if body.velocity_gradient is not None:
+            _move(points, np.array(body.velocity_gradient))
         if isinstance(body.temperature, schema.TemperatureStart):
             slope = np.array(body.temperature.gradient)
             points.temperature[:] = body.temperature.value + (points.x - np.array(body.temperature.at)) @ slope
             points.temperature_gradient[:] = slope
         else:
             points.temperature[:] = body.temperature
+        if scene.transfer.scheme in ("pic", "flip"):
+            points.affine[:] = 0.0  # these have none, nor the angular momentum that goes with it
         parts.append(points)
     return Particles.joined(parts)
 
 
-def _turn(points: Particles, rate: float | tuple[float, ...]) -> None:
-    """Add a rigid rotation about the centre of mass, to velocities and their gradients."""
+def _turning(rate: float | tuple[float, ...], dim: int) -> FloatArray:
+    """Velocity gradient (dim, dim) of a rigid rotation [1/s]."""
     x, y, z = (0.0, 0.0, rate) if isinstance(rate, float) else rate
-    spin = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[: points.dim, : points.dim]
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[:dim, :dim]
+
+
+def _move(points: Particles, gradient: FloatArray) -> None:
+    """Add a velocity that is linear about the centre of mass, to velocities and their gradients."""
     center = points.mass @ points.x / points.mass.sum()
-    points.v += (points.x - center) @ spin.T
-    points.affine += spin
+    points.v += (points.x - center) @ gradient.T
+    points.affine += gradient
 
 
 def make_walls(scene: PointScene, meshes: Mapping[str, Mesh]) -> list[RigidWall]:

@@ -25,11 +25,11 @@ from femdeform.scene.selection_schema import check_corners
 
 class LinearFunction(SceneModel):
     kind: Literal["linear"] = Field(description="linear in the temperature, between two limits")
-    value: Finite = Field(description="value at `reference`, in the unit of what it stands for")
-    slope: Finite = Field(description="change of the value by kelvin, in its unit [1/K]")
+    value: Finite = Field(description="value at `reference` [unit of what it stands for]")
+    slope: Finite = Field(description="change of the value by kelvin [that unit/K]")
     reference: Finite = Field(description="reference temperature [K]")
-    lowest: Finite | None = Field(default=None, description="lower limit, in the unit of the value")
-    highest: Finite | None = Field(default=None, description="upper limit, in the unit of the value")
+    lowest: Finite | None = Field(default=None, description="lower limit [that unit]")
+    highest: Finite | None = Field(default=None, description="upper limit [that unit]")
 
     @model_validator(mode="after")
     def _ordered(self) -> LinearFunction:
@@ -41,7 +41,7 @@ class LinearFunction(SceneModel):
 class TableFunction(SceneModel):
     kind: Literal["table"] = Field(description="linear between given temperatures, constant beyond")
     temperatures: list[Finite] = Field(min_length=1, description="ascending temperatures [K]")
-    values: list[Finite] = Field(min_length=1, description="a value for each, in the unit of what it stands for")
+    values: list[Finite] = Field(min_length=1, description="a value for each [unit of what it stands for]")
 
     @model_validator(mode="after")
     def _consistent(self) -> TableFunction:
@@ -251,6 +251,11 @@ class PointBody(SceneModel):
     velocity: Vector | None = Field(default=None, description="velocity at the start [m/s]")
     angular_velocity: Finite | Vector | None = Field(
         default=None, description="rate of turning about the centre at the start [rad/s]; a vector in 3D"
+    )
+    velocity_gradient: Annotated[list[Vector], Field(min_length=2, max_length=3)] | None = Field(
+        default=None,
+        description="its change with the place at the start, about the centre of mass: rows are those of a component "
+        "[1/s]",
     )
     temperature: Finite | TemperatureStart = Field(default=0.0, description="temperature at the start [K]")
     surface_tension: SurfaceTensionBlock | None = Field(default=None, description="tension of its surface")

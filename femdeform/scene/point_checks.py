@@ -9,7 +9,8 @@ from femdeform import registry
 from femdeform.scene import point_body_schema as schema
 from femdeform.scene.flow_checks import unmeasured_findings
 from femdeform.scene.key_path import KeyPath
-from femdeform.scene.point_schema import PointScene, PointVectorQuantity, SecondMomentQuantity
+from femdeform.scene.point_quantity_schema import ContactAngleQuantity
+from femdeform.scene.point_schema import PointScene, PointVectorQuantity
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
@@ -35,6 +36,12 @@ def point_findings(scene: PointScene, meshes: Mapping[str, Mesh]) -> Iterator[Fi
 def _vectors(scene: PointScene) -> Iterator[tuple[KeyPath, Sequence[Any]]]:
     if scene.gravity is not None:
         yield ("gravity",), scene.gravity
+    for name, quantity in scene.measure.items():
+        region = getattr(quantity, "within", None)
+        for key in ("center", "min", "max"):
+            vector = getattr(region, key, None)
+            if vector is not None:
+                yield ("measure", name, "within", key), vector
     shapes: list[tuple[KeyPath, Any]] = [(("bodies", name, "shape"), body.shape) for name, body in scene.bodies.items()]
     for name, body in scene.bodies.items():
         shapes += [(("bodies", name, "without", index), shape) for index, shape in enumerate(body.without)]
@@ -57,6 +64,10 @@ def _vectors(scene: PointScene) -> Iterator[tuple[KeyPath, Sequence[Any]]]:
     for name, body in scene.bodies.items():
         if body.velocity is not None:
             yield ("bodies", name, "velocity"), body.velocity
+        if body.velocity_gradient is not None:
+            yield ("bodies", name, "velocity_gradient"), body.velocity_gradient
+            for index, row in enumerate(body.velocity_gradient):
+                yield ("bodies", name, "velocity_gradient", index), row
         if isinstance(body.temperature, schema.TemperatureStart):
             yield ("bodies", name, "temperature", "gradient"), body.temperature.gradient
             yield ("bodies", name, "temperature", "at"), body.temperature.at
@@ -118,9 +129,20 @@ def _measure_findings(scene: PointScene) -> Iterator[Finding]:
         if quantity.body is not None and quantity.body not in scene.bodies:
             hint = did_you_mean(quantity.body, scene.bodies)
             yield Finding(("measure", name, "body"), f"there is no body `{quantity.body}`; {hint}")
-        if isinstance(quantity, SecondMomentQuantity) or not isinstance(quantity, PointVectorQuantity):
+        if isinstance(quantity, ContactAngleQuantity) and not (
+            quantity.wall < len(scene.walls) and scene.walls[quantity.wall].shape.kind == "plane"
+        ):
+            yield Finding(("measure", name, "wall"), f"wall {quantity.wall} is not one of `walls` that is a plane")
+        if not isinstance(quantity, PointVectorQuantity):
             continue
         is_spin = quantity.kind == "angular_momentum"
         if scene.dim == 2 and quantity.component in (("x", "y") if is_spin else ("z",)):
             yield Finding(("measure", name, "component"), f"there is no {quantity.component} in the plane")
     yield from unmeasured_findings(scene)
+    for index, wanted in enumerate(scene.expect.over_time):
+        path = ("expect", "over_time", index)
+        if wanted.quantity not in scene.measure:
+            hint = did_you_mean(wanted.quantity, scene.measure)
+            yield Finding((*path, "quantity"), f"`{wanted.quantity}` is not measured; {hint}")
+        if wanted.after >= scene.time.end:
+            yield Finding((*path, "after"), f"must be before the end of the run, {scene.time.end:g} [s]")

@@ -8,7 +8,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.mesh_schema import MeshSource
-from femdeform.scene.point_body_schema import PointBody, PointWall
+from femdeform.scene.point_body_schema import BoxShape, PointBody, PointWall, SphereShape
+from femdeform.scene.point_quantity_schema import ContactAngleQuantity, ExpectedOverTime
 from femdeform.scene.quantity_schema import Component, ExpectedTime, ExpectedValue
 from femdeform.scene.scene_model import Name, Positive, SceneModel, Vector, default_tag, distinct
 from femdeform.scene.schema import (
@@ -122,6 +123,9 @@ class PointOutput(SceneModel):
 # ---------------------------------------------------------------------------------------------- quantities
 
 
+Region = Annotated[BoxShape | SphereShape, Field(discriminator="kind")]
+
+
 class PointSumQuantity(SceneModel):
     kind: Literal[
         "mass",
@@ -137,21 +141,41 @@ class PointSumQuantity(SceneModel):
         "liquid_fraction",
         "mean_pressure",
         "min_jacobian",
+        "virial",
     ] = Field(
         description="mass [kg], volume [m^3], kinetic energy [J], largest speed of a point [m/s], area of the sampled "
         "surface [m^2] and its energy [J], sum of m c T [J], temperatures weighed by mass [K], part of the mass that "
-        "is liquid [-], mean pressure of liquid points by volume [Pa], smallest volume ratio [-]"
+        "is liquid [-], mean pressure of liquid points by volume [Pa], smallest volume ratio [-]; virial: "
+        "d int p dV / ((d - 1) int k dA) - 1 of liquid in d dimensions, whose mean over time is zero at rest [-]"
     )
     body: Name | None = Field(default=None, description="restrict to one body")
+    within: Region | None = Field(default=None, description="restrict to points that are inside at the time")
+
+    @model_validator(mode="after")
+    def _is_of_points(self) -> PointSumQuantity:
+        if self.within is not None and self.kind in ("surface_area", "surface_energy", "virial"):
+            raise ValueError(f"within: is for sums over points, {self.kind} is that of the whole surface")
+        return self
 
 
 class PointVectorQuantity(SceneModel):
-    kind: Literal["centroid", "linear_momentum", "angular_momentum", "highest", "lowest", "extent"] = Field(
+    kind: Literal[
+        "centroid",
+        "linear_momentum",
+        "angular_momentum",
+        "highest",
+        "lowest",
+        "extent",
+        "mean_velocity",
+        "thermal_moment",
+    ] = Field(
         description="centre of mass [m], linear momentum [kg m/s], angular momentum about the origin [kg m^2/s], "
-        "highest and lowest coordinate of a point, and the distance of the two [m]"
+        "highest and lowest coordinate of a point and the distance of the two [m], velocity of the centre of mass "
+        "[m/s], mean by mass of the temperature times the distance from the centre of mass [K m]"
     )
     component: Component = Field(description="component, or the norm; in 2D angular momentum has z only")
     body: Name | None = Field(default=None, description="restrict to one body")
+    within: Region | None = Field(default=None, description="restrict to points that are inside at the time")
 
 
 class SecondMomentQuantity(SceneModel):
@@ -161,7 +185,9 @@ class SecondMomentQuantity(SceneModel):
     body: Name | None = Field(default=None, description="restrict to one body")
 
 
-PointQuantity = Annotated[PointSumQuantity | PointVectorQuantity | SecondMomentQuantity, Field(discriminator="kind")]
+PointQuantity = Annotated[
+    PointSumQuantity | PointVectorQuantity | SecondMomentQuantity | ContactAngleQuantity, Field(discriminator="kind")
+]
 
 
 class PointExpect(SceneModel):
@@ -173,6 +199,9 @@ class PointExpect(SceneModel):
     )
     time_to_reach: list[ExpectedTime] = Field(
         default_factory=list, description="simulated times at which quantities of `measure` reach a level [s]"
+    )
+    over_time: list[ExpectedOverTime] = Field(
+        default_factory=list, description="means, rates and times of quantities of `measure` over a stretch of time"
     )
 
 

@@ -20,6 +20,7 @@ ELSEWHERE = {
     "pbng": "test_pbng_scenes.py",
     "xpbd": "test_xpbd_scenes.py",
     "flow": "test_flow_scenes.py",
+    "mpm": "test_point_scenes.py",
 }
 # Batches are checked with the plans of runs.
 COMPARISONS = [path for path in sorted(SCENES.glob("studies/*.yaml")) if is_comparison(path)]

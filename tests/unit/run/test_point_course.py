@@ -26,7 +26,7 @@ def points(*, time: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]
     """A drop in space; keys of the body go to it."""
     body = {"shape": DISC, "liquid": LIQUID}
     own = ("shape", "liquid", "solid", "phase", "velocity", "angular_velocity", "temperature", "surface_tension")
-    body |= {key: more.pop(key) for key in (*own, "heat", "melting") if key in more}
+    body |= {key: more.pop(key) for key in (*own, "heat", "melting", "velocity_gradient") if key in more}
     if body["liquid"] is None:
         del body["liquid"]
     data = {

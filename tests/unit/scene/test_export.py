@@ -87,8 +87,8 @@ def numbers_without_unit(node: Any, path: str = "") -> Iterator[str]:
 
 
 def test_every_number_has_a_unit() -> None:
-    # The unit of an expected value, of its bounds and of a level is that of the quantity they belong to.
-    allowed = {"value", "atol", "at_least", "at_most", "level"}
+    # The unit of an expected value, of its bounds, of a level and of a limit is that of the quantity they belong to.
+    allowed = {"value", "atol", "at_least", "at_most", "level", "toward"}
     for path in numbers_without_unit(json_schema()):
         model, key = path.split(".")[-2:]
         assert model.startswith("Expected"), path

@@ -1,0 +1,62 @@
+"""The scenes of scenes/mpm: material points against exact values, and what they show."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from femdeform.cli import main
+from femdeform.run.checkpoint import read_checkpoint
+from femdeform.scene.load import load_scene
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes" / "mpm"
+NAMES = sorted(path.stem for path in SCENES.glob("verify-*.yaml"))
+QUICK = ("verify-bar", "verify-falling-block", "verify-spin-apic", "verify-spin-pic", "verify-rotating-flux-insulated")
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scene_has_no_faults(name: str) -> None:
+    assert main(["check", str(SCENES / f"{name}.yaml")]) == 0
+
+
+def facts_of(cli: Run, name: str, out: Path, *options: str, code: int = 0) -> list[dict[str, object]]:
+    """Verdicts of a scene that runs to its end."""
+    finished = cli("run", SCENES / f"{name}.yaml", "--out", out, *options)
+    assert finished.returncode == code, finished.stderr
+    facts = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    verdicts: list[dict[str, object]] = facts["expect"]
+    return verdicts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.gallery) for name in NAMES]
+)
+def test_scene(name: str, cli: Run, tmp_path: Path) -> None:
+    verdicts = facts_of(cli, name, tmp_path / "out")
+    expect = load_scene(SCENES / f"{name}.yaml").scene.expect
+    assert len(verdicts) >= len(expect.measured) + len(expect.over_time) > 0
+    assert all(verdict["passed"] for verdict in verdicts)
+
+
+@pytest.mark.slow
+def test_pic_does_not_pass_for_apic(cli: Run, tmp_path: Path) -> None:
+    """What the scenes expect tells the two transfers apart."""
+    for name, scheme in (("verify-spin-apic", "pic"), ("verify-spin-pic", "apic")):
+        out = tmp_path / name
+        verdicts = facts_of(cli, name, out, "--set", f"transfer.scheme={scheme}", code=1)
+        assert not any(verdict["passed"] for verdict in verdicts)
+        assert read_checkpoint(out).step == 30
+
+
+@pytest.mark.slow
+@pytest.mark.gallery
+@pytest.mark.parametrize("name", ["verify-robin-disc", "verify-rotating-flux-insulated", "verify-two-discs-exchange"])
+def test_heat_as_published_misses_the_exact_value(name: str, cli: Run, tmp_path: Path) -> None:
+    verdicts = facts_of(cli, name, tmp_path / "out", "--set", "heat.quadrature=literal", code=1)
+    assert not verdicts[0]["passed"]
