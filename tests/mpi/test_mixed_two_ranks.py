@@ -60,6 +60,6 @@ def test_the_same_answer_as_on_one_rank(
     assert run_scene(path, out=tmp_path / "one") == 0
     one, two = read_checkpoint(tmp_path / "one"), read_checkpoint(tmp_path / "two")
     assert two.step == one.step == 5
-    np.testing.assert_allclose(two.x, one.x, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(two.fields["x"], one.fields["x"], rtol=0.0, atol=1e-8)
     a, b = (read_table(tmp_path / name / "history.csv") for name in ("one", "two"))
     np.testing.assert_array_equal(b["iterations"], a["iterations"])

@@ -143,5 +143,5 @@ def test_a_run_goes_on_to_the_bit(
     assert run_scene(path, out=tmp_path / "broken", quiet=True, resume=True) == 0
     first, second = (read_checkpoint(tmp_path / name) for name in ("whole", "broken"))
     assert first.step == second.step == 20
-    np.testing.assert_array_equal(first.x, second.x)
-    np.testing.assert_array_equal(first.v, second.v)
+    np.testing.assert_array_equal(first.fields["x"], second.fields["x"])
+    np.testing.assert_array_equal(first.fields["v"], second.fields["v"])

@@ -125,8 +125,8 @@ def test_scipy_takes_over_where_petsc_cannot_be_imported(tmp_path: Path, cli: Ca
     assert facts(tmp_path / "fallback")["linear_solver"] == "scipy_direct"
     assert run_scene(tmp_path / "s.yaml", out=tmp_path / "here") == 0
     fallback, here = read_checkpoint(tmp_path / "fallback"), read_checkpoint(tmp_path / "here")
-    size = np.abs(here.x - Result.open(tmp_path / "here").read_final().points).max()
-    np.testing.assert_allclose(fallback.x, here.x, atol=1e-8 * size)
+    size = np.abs(here.fields["x"] - Result.open(tmp_path / "here").read_final().points).max()
+    np.testing.assert_allclose(fallback.fields["x"], here.fields["x"], atol=1e-8 * size)
 
 
 # ------------------------------------------------------------------------------------------- cloth and rods

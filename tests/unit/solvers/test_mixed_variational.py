@@ -431,14 +431,14 @@ def test_a_resumed_run_repeats_an_unbroken_one(solver: dict[str, Any], tmp_path:
     whole, short_run = read_checkpoint(tmp_path / "whole"), read_checkpoint(tmp_path / "short")
     assert short_run.step == 8
     simulation = build(data)
-    simulation.state.x[:], simulation.state.v[:] = short_run.x, short_run.v
+    simulation.state.x[:], simulation.state.v[:] = short_run.fields["x"], short_run.fields["v"]
     simulation.state.time, simulation.state.step = short_run.time, short_run.step
     for _ in range(2):
         simulation.problem.begin_step(simulation.state, 0.02)
         result = simulation.solver.step(simulation.problem, simulation.state)
         assert result.accepted
         simulation.state = simulation.problem.accept(simulation.state, result.x)
-    np.testing.assert_allclose(simulation.state.x, whole.x, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(simulation.state.x, whole.fields["x"], rtol=0.0, atol=1e-13)
     history = read_table(tmp_path / "whole" / "history.csv")
     facts = Result.open(tmp_path / "whole").facts
     assert facts["method"] == "mixed_fem"
