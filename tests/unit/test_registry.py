@@ -11,8 +11,8 @@ import pytest
 from femdeform import registry
 from femdeform.errors import MissingDependencyError
 from femdeform.scene import schema
-from femdeform.scene.point_schema import PointLinearSolver
 from femdeform.scene.annotations import alternatives, take_apart
+from femdeform.scene.point_schema import PointLinearSolver
 
 
 def words(annotation: object, key: str) -> set[str]:
