@@ -10,10 +10,9 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from femdeform.flow.mac_grid import MACGrid
+from femdeform.run.components import component_of
 from femdeform.scene.flow_schema import FlowPointQuantity, FlowScene, SmokeCentroid
 from femdeform.types import FloatArray
-
-_AXES = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ class FlowMeter:
 
     def _function(self, quantity: Any) -> Callable[[FlowState], float]:
         if isinstance(quantity, SmokeCentroid):
-            return lambda state: _component(self._centroid(state), quantity.component)
+            return lambda state: component_of(self._centroid(state), quantity.component)
         if isinstance(quantity, FlowPointQuantity):
             return lambda state: self._at_point(state, quantity)
         return self._simple(quantity.kind)
@@ -125,8 +124,4 @@ class FlowMeter:
         if quantity.kind == "density":
             return value(state.density)
         centres = at_centres(state.velocity)
-        return _component(np.array([value(centres[..., axis]) for axis in range(grid.dim)]), quantity.component)
-
-
-def _component(vector: FloatArray, component: str) -> float:
-    return float(np.linalg.norm(vector)) if component == "norm" else float(vector[_AXES[component]])
+        return component_of(np.array([value(centres[..., axis]) for axis in range(grid.dim)]), quantity.component)

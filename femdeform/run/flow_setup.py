@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from femdeform import registry
 from femdeform.flow.mac_grid import MACGrid, PressureSolver
 from femdeform.flow.pressure_system import PressureSystem
 from femdeform.flow.smoke import MovingSolid, SmokeFlow, Source
 from femdeform.flow.voxels import voxels_inside
+from femdeform.run.closed_surface import closed_surface
 from femdeform.scene.flow_schema import BoxRegion, FlowScene, Region, SolidMotion
 from femdeform.types import FloatArray, IntArray, Mesh
 
@@ -67,13 +67,6 @@ def build_flow(
         scene.linear_solver.tolerance,
         scene.linear_solver.max_iterations,
     )
-
-
-def closed_surface(mesh: Mesh) -> tuple[FloatArray, IntArray]:
-    """Points and facets of a mesh's boundary, or of the mesh itself where it is a surface already."""
-    if mesh.cells.shape[1] == mesh.dim:
-        return mesh.points, mesh.cells
-    return mesh.points, registry.resolve(registry.MESH["boundary"])(mesh.cells, mesh.points)
 
 
 def _air(scene: FlowScene, grid: MACGrid) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.errors import Fault, InputError
-from femdeform.run.vti_reader import read_vti
-from femdeform.run.vtp_reader import read_vtp
+from femdeform.run.vti_reader import GridFrame, read_vti
+from femdeform.run.vtp_reader import ParticleFrame, read_vtp
 from femdeform.run.vtu_reader import read_vtu
 from femdeform.types import FloatArray, IntArray
+
+__all__ = ["BodyFrame", "Frame", "GridFrame", "ParticleFrame", "load_frame", "of_kind"]
 
 
 @dataclass(frozen=True)
@@ -48,68 +50,6 @@ class BodyFrame:
     def positions(self) -> FloatArray:
         """Deformed positions [m], (n_points, 3)."""
         return self.points + self.displacement
-
-
-@dataclass(frozen=True)
-class GridFrame:
-    """A frame of fields in the voxels of a grid; arrays are read-only.
-
-    Attributes
-    ----------
-    time : float
-        Time [s].
-    shape : (int, int, int)
-        Voxels along x, y, z; one along z for a 2D scene.
-    spacing : (3,) float64
-        Sides of a voxel [m].
-    origin : (3,) float64
-        Lower corner of the grid [m].
-    cell_data : dict of str to (nx, ny, nz) or (nx, ny, nz, k) arrays
-        Fields at the centres of the voxels.
-    """
-
-    time: float
-    shape: tuple[int, int, int]
-    spacing: FloatArray
-    origin: FloatArray
-    cell_data: dict[str, NDArray[Any]]
-
-    @property
-    def dim(self) -> int:
-        """Dimension of the scene."""
-        return 2 if self.shape[2] == 1 else 3
-
-    @property
-    def box(self) -> FloatArray:
-        """Lowest and highest corner of the grid, (2, 3) [m]; flat for a 2D scene."""
-        high = self.origin + np.array(self.shape) * self.spacing
-        if self.dim == 2:
-            high[2] = self.origin[2]
-        return np.stack([self.origin, high])
-
-    @property
-    def solid(self) -> NDArray[np.bool_]:
-        """Voxels inside solids, (nx, ny, nz); none where the frame does not say."""
-        return np.asarray(self.cell_data.get("solid", np.zeros(self.shape)), dtype=np.bool_)
-
-
-@dataclass(frozen=True)
-class ParticleFrame:
-    """A frame of particles, whose number may differ from that of others; arrays are read-only.
-
-    Attributes
-    ----------
-    time : float
-        Time [s].
-    positions : (n, 3) float64
-        Positions [m], z = 0 for a 2D scene.
-    point_data : dict of str to (n,) or (n, k) arrays
-        Fields.
-    """
-
-    time: float
-    positions: FloatArray
-    point_data: dict[str, NDArray[Any]]
 
 
 Frame = BodyFrame | GridFrame | ParticleFrame
@@ -167,19 +107,13 @@ def _load_bodies(path: Path, time: float | None) -> BodyFrame:
 
 
 def _load_grid(path: Path, time: float | None) -> GridFrame:
-    contents = read_vti(path)
-    return GridFrame(
-        time=contents.time if time is None else time,
-        shape=contents.shape,
-        spacing=contents.spacing,
-        origin=contents.origin,
-        cell_data=contents.cell_data,
-    )
+    frame = read_vti(path)
+    return frame if time is None else replace(frame, time=time)
 
 
 def _load_particles(path: Path, time: float | None) -> ParticleFrame:
-    contents = read_vtp(path)
-    return ParticleFrame(contents.time if time is None else time, contents.positions, contents.point_data)
+    frame = read_vtp(path)
+    return frame if time is None else replace(frame, time=time)
 
 
 _READERS: dict[str, Callable[[Path, float | None], Frame]] = {

@@ -13,6 +13,7 @@ from femdeform.run.checkpoint import START_ANEW, Checkpoint, is_unsaved, read_ch
 from femdeform.run.failure import end_all_ranks
 from femdeform.run.result import Result
 from femdeform.run.result_folder import check_vacant
+from femdeform.run.threads import THREADED_CELLS, THREADED_VOXELS
 from femdeform.scene.checks import check_file, check_loaded
 from femdeform.scene.load import LoadedScene, load_scene
 from femdeform.scene.mesh_files import mesh_file_hashes
@@ -44,6 +45,11 @@ class RunInput:
         if scene.simulation == "deformable":
             return sum(mesh.n_cells for mesh in self.meshes.values())
         return scene.n_cells
+
+    @property
+    def threaded_cells(self) -> int:
+        """Cells from which on a second thread is worth it: voxels are done sooner than what is else stepped through."""
+        return THREADED_VOXELS if self.loaded.scene.simulation == "incompressible_flow" else THREADED_CELLS
 
 
 def read_together(

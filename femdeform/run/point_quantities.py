@@ -12,12 +12,11 @@ from femdeform.mpm.heat import current_volumes
 from femdeform.mpm.particles import LIQUID, Particles
 from femdeform.mpm.surface_sampling import SurfaceSampler
 from femdeform.mpm.transfers import spin
+from femdeform.run.components import component_of
 from femdeform.run.point_setup import Materials
 from femdeform.scene.point_quantity_schema import ContactAngleQuantity
 from femdeform.scene.point_schema import PointScene, PointVectorQuantity, Region, SecondMomentQuantity
 from femdeform.types import BoolArray, FloatArray
-
-_AXES = {"x": 0, "y": 1, "z": 2}
 
 
 @dataclass(frozen=True)
@@ -141,10 +140,7 @@ class PointMeter:
             if isinstance(quantity, ContactAngleQuantity):
                 return self._contact_angle(quantity, points, state)
             if isinstance(quantity, PointVectorQuantity):
-                vector = self._vector(quantity.kind, points)
-                if quantity.component == "norm":
-                    return float(np.linalg.norm(vector))
-                return float(vector[_AXES[quantity.component]])
+                return component_of(self._vector(quantity.kind, points), quantity.component)
             if isinstance(quantity, SecondMomentQuantity):
                 x = points.x - points.mass @ points.x / points.mass.sum()
                 return float(points.mass @ (x[:, 0] ** 2 - x[:, 1] ** 2) / points.mass.sum())

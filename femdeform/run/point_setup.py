@@ -20,7 +20,7 @@ from femdeform.mpm.rigid_walls import RigidWall
 from femdeform.mpm.shapes import ClosedSurface, Ellipsoid
 from femdeform.mpm.surface_coefficient import SurfaceTension, solid_liquid_coefficient
 from femdeform.mpm.temperature_functions import Constant, Linear, Table, TemperatureFunction
-from femdeform.run.flow_setup import closed_surface
+from femdeform.run.closed_surface import closed_surface
 from femdeform.scene import point_body_schema as schema
 from femdeform.scene.point_schema import PointScene
 from femdeform.types import BoolArray, FloatArray, Mesh

@@ -12,6 +12,7 @@ from femdeform.errors import InputError
 from femdeform.fem.fields import cell_field, jacobians, volumes
 from femdeform.fem.incremental_potential import State
 from femdeform.fem.interpolation import nodal_weights
+from femdeform.run.components import component_of
 from femdeform.run.setup import Simulation
 from femdeform.scene import quantity_schema as schema
 from femdeform.scene.point_location import locate_point
@@ -127,7 +128,7 @@ def motion(simulation: Simulation, place: schema.Place, component: str, kind: st
     def evaluate(snapshot: Snapshot) -> float:
         state = snapshot.state
         values = state.v[nodes] if kind == "velocity" else state.x[nodes] - simulation.discretization.points[nodes]
-        return _component(_sum_over_ranks(simulation, weights @ values), component)
+        return component_of(_sum_over_ranks(simulation, weights @ values), component)
 
     return evaluate
 
@@ -163,10 +164,6 @@ def _sum_over_ranks(simulation: Simulation, vector: FloatArray) -> FloatArray:
     return np.array([partition.sum(float(entry)) for entry in vector])
 
 
-def _component(vector: FloatArray, component: str) -> float:
-    return float(np.linalg.norm(vector)) if component == "norm" else float(vector["xyz".index(component)])
-
-
 # ------------------------------------------------------------------------------------------- reactions
 
 
@@ -175,7 +172,7 @@ def reaction(simulation: Simulation, on: Selection, component: str) -> Evaluate:
     nodes = _owned_nodes(simulation, on)
 
     def evaluate(snapshot: Snapshot) -> float:
-        return _component(_sum_over_ranks(simulation, snapshot.reactions[nodes].sum(axis=0)), component)
+        return component_of(_sum_over_ranks(simulation, snapshot.reactions[nodes].sum(axis=0)), component)
 
     return evaluate
 
@@ -217,7 +214,7 @@ def _momentum(quantity: schema.MomentumQuantity) -> Evaluate:
             density = _cross(state.x[owned], density)
             spin = simulation.problem.spin(state)
             density = density if spin is None else density + spin[owned]
-        return _component(_sum_over_ranks(simulation, density.sum(axis=0)), quantity.component)
+        return component_of(_sum_over_ranks(simulation, density.sum(axis=0)), quantity.component)
 
     return evaluate
 
@@ -235,7 +232,7 @@ def _link(simulation: Simulation, quantity: schema.LinkQuantity | schema.LinkFor
         partition = simulation.discretization.partition
         if isinstance(quantity, schema.LinkForceQuantity):
             assert number is not None
-            return _component(_sum_over_ranks(simulation, links.force(x, number)), quantity.component)
+            return component_of(_sum_over_ranks(simulation, links.force(x, number)), quantity.component)
         if quantity.kind == "link_gap":
             return partition.max(links.gap(x, number))
         return partition.sum(links.energy(x, number))

@@ -24,7 +24,7 @@ from femdeform.run.progress import Progress
 from femdeform.run.recorder import Recorder
 from femdeform.run.result_folder import mark_ended
 from femdeform.run.table import read_table
-from femdeform.run.threads import THREADED_CELLS, THREADED_VOXELS, use_threads
+from femdeform.run.threads import use_threads
 from femdeform.run.time_loop import (
     LoopOutcome,
     Moment,
@@ -137,8 +137,7 @@ class _Run:
         self.trace = trace
         self.quiet = quiet
         self.begin = time.perf_counter()
-        is_flow = self.scene.simulation == "incompressible_flow"
-        self.threads = use_threads(threads, given.n_cells, THREADED_VOXELS if is_flow else THREADED_CELLS)
+        self.threads = use_threads(threads, given.n_cells, given.threaded_cells)
         self.progress = Progress(self.scene.time.end, self.is_first and not quiet)
         self.course: Course[Any, Any] = registry.resolve(registry.COURSES[self.scene.simulation])(given, comm)
         self.n_frames = 0

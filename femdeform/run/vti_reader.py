@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from femdeform.run.vtk_reader import Arrays, child, read_arrays, reading, time_of
+from femdeform.run.vtk_reader import child, read_arrays, reading, time_of
 from femdeform.types import FloatArray
 
 
 @dataclass(frozen=True)
-class VTIContents:
-    """What a ``.vti`` file holds; arrays are read-only.
+class GridFrame:
+    """A frame of fields in the voxels of a grid; arrays are read-only.
 
     Attributes
     ----------
@@ -26,17 +28,35 @@ class VTIContents:
     origin : (3,) float64
         Lower corner of the grid [m].
     cell_data : dict of str to (nx, ny, nz) or (nx, ny, nz, k) arrays
-        Fields.
+        Fields at the centres of the voxels.
     """
 
     time: float
     shape: tuple[int, int, int]
     spacing: FloatArray
     origin: FloatArray
-    cell_data: Arrays
+    cell_data: dict[str, NDArray[Any]]
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the scene."""
+        return 2 if self.shape[2] == 1 else 3
+
+    @property
+    def box(self) -> FloatArray:
+        """Lowest and highest corner of the grid, (2, 3) [m]; flat for a 2D scene."""
+        high = self.origin + np.array(self.shape) * self.spacing
+        if self.dim == 2:
+            high[2] = self.origin[2]
+        return np.stack([self.origin, high])
+
+    @property
+    def solid(self) -> NDArray[np.bool_]:
+        """Voxels inside solids, (nx, ny, nz); none where the frame does not say."""
+        return np.asarray(self.cell_data.get("solid", np.zeros(self.shape)), dtype=np.bool_)
 
 
-def read_vti(path: Path) -> VTIContents:
+def read_vti(path: Path) -> GridFrame:
     """Read a file written by `VTIWriter`.
 
     Parameters
@@ -61,7 +81,7 @@ def read_vti(path: Path) -> VTIContents:
         nx, ny, nz = shape
         flat = read_arrays(child(image, "Piece"), "CellData", nx * ny * nz)
         # VTK's first index runs fastest.
-        return VTIContents(
+        return GridFrame(
             time=time_of(root),
             shape=(nx, ny, nz),
             spacing=spacing,

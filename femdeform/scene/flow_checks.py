@@ -3,36 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
 
-from femdeform import registry
+from femdeform.scene.filled_mesh_checks import why_nothing_is_inside
 from femdeform.scene.flow_schema import BallRegion, BoxRegion, FlowPointQuantity, FlowScene, SmokeCentroid
 from femdeform.scene.key_path import KeyPath
+from femdeform.scene.measured_checks import unmeasured_findings
 from femdeform.scene.validation import Finding
-from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
-
-
-class _Measuring(Protocol):
-    """A scene with `measure` and `expect`."""
-
-    @property
-    def measure(self) -> Mapping[str, Any]:
-        """Quantities by name."""
-
-    @property
-    def expect(self) -> Any:
-        """Expected values."""
-
-
-def unmeasured_findings(scene: _Measuring) -> Iterator[Finding]:
-    """Expectations of quantities that the scene does not measure."""
-    wanted: list[tuple[KeyPath, str]] = [(("expect", "measured", name), name) for name in scene.expect.measured]
-    for index, crossing in enumerate(scene.expect.time_to_reach):
-        wanted.append((("expect", "time_to_reach", index, "quantity"), crossing.quantity))
-    for path, name in wanted:
-        if name not in scene.measure:
-            yield Finding(path, f"`{name}` is not measured; {did_you_mean(name, scene.measure)}")
 
 
 def flow_findings(scene: FlowScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
@@ -85,12 +62,9 @@ def _dimension_findings(scene: FlowScene) -> Iterator[Finding]:
 def _solid_findings(scene: FlowScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
     for name, mesh in meshes.items():
         path: KeyPath = ("solids", name)
-        if mesh.dim != scene.dim:
-            yield Finding((*path, "mesh"), f"is {mesh.dim}D, the grid is {scene.dim}D")
-            continue
-        surface = "line" if mesh.dim == 2 else "triangle"
-        if mesh.cell_type == surface and len(registry.resolve(registry.MESH["boundary"])(mesh.cells)):
-            yield Finding((*path, "mesh"), "is a surface that does not close: nothing is inside of it")
+        fault = why_nothing_is_inside(mesh, scene.dim, "grid")
+        if fault:
+            yield Finding((*path, "mesh"), fault)
         motion = scene.solids[name].motion
         if motion is not None and motion.axis is not None and (scene.dim == 2 or len(motion.axis) != 3):
             yield Finding((*path, "motion", "axis"), "is for 3D, with three numbers; in the plane solids turn about z")

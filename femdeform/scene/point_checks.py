@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from femdeform import registry
 from femdeform.scene import point_body_schema as schema
-from femdeform.scene.flow_checks import unmeasured_findings
+from femdeform.scene.filled_mesh_checks import why_nothing_is_inside
 from femdeform.scene.key_path import KeyPath
+from femdeform.scene.measured_checks import unmeasured_findings
 from femdeform.scene.point_quantity_schema import ContactAngleQuantity
 from femdeform.scene.point_schema import PointScene, PointVectorQuantity
 from femdeform.scene.validation import Finding
@@ -93,14 +93,9 @@ def _dimension_findings(scene: PointScene) -> Iterator[Finding]:
 def _mesh_findings(scene: PointScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
     for name, (path, _) in scene.mesh_sources().items():
         mesh = meshes.get(name)
-        if mesh is None:
-            continue
-        if mesh.dim != scene.dim:
-            yield Finding(path, f"is {mesh.dim}D, the domain is {scene.dim}D")
-        elif mesh.cells.shape[1] < mesh.dim:
-            yield Finding(path, "is no surface: nothing is inside of it")
-        elif mesh.cells.shape[1] == mesh.dim and len(registry.resolve(registry.MESH["boundary"])(mesh.cells)):
-            yield Finding(path, "is a surface that does not close: nothing is inside of it")
+        fault = "" if mesh is None else why_nothing_is_inside(mesh, scene.dim, "domain")
+        if fault:
+            yield Finding(path, fault)
 
 
 def _heat_findings(scene: PointScene) -> Iterator[Finding]:

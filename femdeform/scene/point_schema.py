@@ -253,7 +253,7 @@ class PointScene(SceneModel):
 
     @property
     def n_cells(self) -> int:
-        """About how many points there are: those of a quarter of the domain."""
+        """Number of grid cells in the domain, which stands for the number of points."""
         size = 1.0
         for a, b in zip(self.grid.low, self.grid.high, strict=True):
             size *= (b - a) / self.grid.cell_size
