@@ -18,8 +18,8 @@ _PATIENCE = 5.0
 # After this long what has to be written is written: a launcher of ranks kills them within a second.
 _SHORT = 0.3
 
-# Set by the Python handler: the signal was heard, whatever follows from it.
-_heard = threading.Event()
+# What tells the watcher of the block that is being run that a signal was heard; one block is run at a time.
+_watched: list[threading.Event] = []
 # What is still to be written when the process has to end in the middle of a library; at most one run has such.
 _last_words: list[Callable[[], None]] = []
 
@@ -72,7 +72,8 @@ class Interrupts:
         self._on_arrival = on_arrival
 
     def _arrive(self, number: int, frame: FrameType | None) -> None:
-        _heard.set()
+        for heard in _watched:
+            heard.set()
         self.is_pending = True
         if self._on_arrival is not None:
             self._on_arrival()
@@ -110,16 +111,18 @@ def answered_in_time(patience: float = _PATIENCE) -> Iterator[None]:
     os.set_blocking(writer, False)
     # The interpreter writes a byte there from within the signal handler of the system, whoever is at work.
     before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    _heard.clear()
+    # One of its own for each block: a watcher that wakes up late must not wait for what belongs to a later block.
+    heard = threading.Event()
+    _watched.append(heard)
 
     def watch() -> None:
         while number := os.read(reader, 1):
-            if number[0] not in _SIGNALS or _heard.wait(min(_SHORT, patience)):
+            if number[0] not in _SIGNALS or heard.wait(min(_SHORT, patience)):
                 continue
             for say in _last_words:
                 with suppress(Exception):
                     say()
-            if not _heard.wait(patience):
+            if not heard.wait(patience):
                 with suppress(Exception):
                     print("femdeform: interrupted", file=sys.stderr, flush=True)
                 os._exit(INTERRUPTED)
@@ -130,4 +133,6 @@ def answered_in_time(patience: float = _PATIENCE) -> Iterator[None]:
         yield
     finally:
         signal.set_wakeup_fd(before)
+        _watched.remove(heard)
+        heard.set()  # whatever came, the block has ended: nothing keeps Python from hearing
         os.close(writer)  # the thread reads the end of the pipe and ends

@@ -233,6 +233,39 @@ def test_a_library_that_does_not_listen(
         assert read_checkpoint(tmp_path / "out").step == 0
 
 
+LATE = """\
+import os, signal, time
+from femdeform.run.interrupts import Interrupts, answered_in_time
+
+def late(*given, read=os.read):
+    byte = read(*given)
+    time.sleep(0.3)  # a machine that is busy
+    return byte
+
+os.read = late
+with answered_in_time(patience=0.1):
+    try:
+        with Interrupts():
+            os.kill(os.getpid(), NUMBER)
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        print("heard", flush=True)
+with answered_in_time(patience=0.1):
+    time.sleep(1.5)
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+def test_a_watcher_that_wakes_up_late(
+    number: signal.Signals, tmp_path: Path, start_python: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """A signal that was heard ends nothing, though the next command of the process has begun by then."""
+    (tmp_path / "late.py").write_text(LATE.replace("NUMBER", str(int(number))))
+    process = start_python("late.py")
+    said, error = process.communicate(timeout=60)
+    assert (process.returncode, said) == (0, "heard\n"), error
+
+
 def test_meshing_alone(monkeypatch: pytest.MonkeyPatch, say: Say) -> None:
     def command(*_: Any) -> str:
         os.kill(os.getpid(), signal.SIGTERM)
