@@ -173,8 +173,10 @@ def build_parser() -> argparse.ArgumentParser:
         command.set_defaults(execute=execute)
         return command
 
-    check = add("check", _check, "report every fault of scene files", _CHECK_EPILOG)
-    check.add_argument("scene", nargs="+", type=Path, metavar="SCENE", help="scene file (YAML)")
+    check = add("check", _check, "report every fault of scenes, comparisons and studies", _CHECK_EPILOG)
+    check.add_argument(
+        "scene", nargs="+", type=Path, metavar="FILE", help="scene, comparison file or study file (YAML)"
+    )
     _add_set(check)
 
     run = add("run", _run, "run a scene and write a result folder", _RUN_EPILOG)
@@ -327,20 +329,21 @@ def _positive(text: str) -> int:
 
 _CHECK_EPILOG = """\
 Every fault is printed as file:line: key: message, sorted by line. The exit code is 2 if there is any.
+Of a file for `femdeform compare` or `femdeform batch` all scenes that it leads to are checked.
 
 examples:
-  femdeform check scenes/*.yaml
+  femdeform check scenes/*.yaml scenes/studies/*.yaml
   femdeform check scene.yaml --set time.dt=0.02 --set conditions[0].on=beam.left
 """
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from femdeform.scene.checks import check_file
+    from femdeform.run.check_command import faults_of
 
     is_first = _is_first_rank()
     code = 0
     for path in arguments.scene:
-        faults = check_file(path, arguments.overrides)
+        faults = faults_of(path, arguments.overrides)
         if faults:
             code = InputError.exit_code
         if not is_first:

@@ -100,7 +100,7 @@ def test_as_a_module_and_without_arguments(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["rum"], "invalid choice: 'rum'"),
-        (["check"], "the following arguments are required: SCENE"),
+        (["check"], "the following arguments are required: FILE"),
         (["run"], "the following arguments are required: SCENE"),
         (["run", "a.yaml", "b.yaml"], "unrecognized arguments: b.yaml"),
         (["run", "a.yaml", "--res"], "unrecognized arguments: --res"),

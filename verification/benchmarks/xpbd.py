@@ -90,7 +90,7 @@ def _peers(results: Results, say: Callable[[str], None]) -> None:
         return
     with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
         dump = str(Path(folder, "block.npz"))
-        case = {"kind": "dump", "cells": results.cells, "dump": dump, "dt": DT}
+        case = {"kind": "dump", "cells": results.cells, "dump": dump, "dt": DT, "kappas": KAPPAS, "looks": LOOKS}
         written = child_process.run_module(_CASE, case, 1)
         for name, script in wanted.items():
             if not written.done:

@@ -107,6 +107,8 @@ def dump(case: dict[str, Any]) -> dict[str, Any]:
         positions=simulation.state.x,
         density=DENSITY,
         dt=case["dt"],
+        time_steps=[time_step(kappa, case["cells"]) for kappa in case["kappas"]],
+        looks=case["looks"],
         mu=law.mu,
         lmbda=law.lmbda,
     )

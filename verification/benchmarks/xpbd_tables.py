@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from verification.benchmarks.block import DT, POISSON_RATIO, YOUNGS_MODULUS, stiffness_number
@@ -69,9 +70,8 @@ def _times(results: Results) -> Table:
 
 
 def _residuals(results: Results, law: str) -> Table:
-    looks = " / ".join(str(look) for look in LOOKS)
     table = Table(
-        f"Residual after {looks} sweeps, {law}, {results.cells}^3 cells",
+        f"Residual after {_list(LOOKS)} sweeps, {law}, {results.cells}^3 cells",
         ["", *(f"kappa = {kappa:g}" for kappa in KAPPAS)],
         notes=[
             "|r| of backward Euler over that of free flight, where sweeps begin; kappa = h^2 E / (rho dx^2). -: not "
@@ -81,17 +81,28 @@ def _residuals(results: Results, law: str) -> Table:
     for method in METHODS:
         found = [o for key, o in results.sweeps.items() if key[:2] == (law, method) and o.done]
         if found:
-            rows = found[0].data["reached"]
-            table.rows.append([method, *(" / ".join("-" if r is None else f"{r:.1e}" for r in row) for row in rows)])
+            table.rows.append([method, *_rows(found[0].data)])
     return table
+
+
+def _list(numbers: Iterable[object]) -> str:
+    return " / ".join(str(number) for number in numbers)
+
+
+def _rows(data: dict[str, Any]) -> list[str]:
+    """A text for each stiffness number; a dash is not finite."""
+    return [_list("-" if r is None else f"{r:.1e}" for r in row) for row in data["reached"]]
 
 
 def _peers(results: Results) -> Table:
     table = Table(
         f"An iteration beside other codes, {results.cells}^3 cells, dt = {DT:g} s, kappa = "
         f"{stiffness_number(results.cells):.2g}",
-        ["", "iteration", "theirs / ours", "threads"],
-        notes=["ours: a sweep of xpbd with neo-Hookean material on as many threads, also beside Newton's VBD."],
+        ["", "iteration", "theirs / ours", "threads", *(f"residual, kappa = {kappa:g}" for kappa in KAPPAS)],
+        notes=[
+            "ours: a sweep of xpbd with neo-Hookean material on as many threads, also beside Newton's VBD. residual: "
+            f"after {_list(LOOKS)} iterations, of each code's own law, as in the tables above."
+        ],
     )
     for name in PEERS:
         outcome = results.peers.get(name)
@@ -100,7 +111,8 @@ def _peers(results: Results) -> Table:
         data = outcome.data
         own = results.sweeps.get(("neo_hookean", "xpbd", data["threads"]))
         ours = own.data["time"] if own is not None and own.done else None
-        table.rows.append([name, seconds(data["iteration"]), ratio(data["iteration"], ours), str(data["threads"])])
+        times = [seconds(data["iteration"]), ratio(data["iteration"], ours), str(data["threads"])]
+        table.rows.append([name, *times, *_rows(data)])
         table.notes += [f"{name}: {note}." for note in data["notes"]]
     add_reasons(table, results.peers)
     return table

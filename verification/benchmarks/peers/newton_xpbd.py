@@ -23,24 +23,31 @@ def compare(block: Any) -> dict[str, Any]:
     from newton.solvers import SolverXPBD
 
     from verification.benchmarks.measure import summary
+    from verification.benchmarks.step_residual import follow
 
     model, _ = make_block(block)
     start, end, control = model.state(), model.state(), model.control()
 
-    def step(iterations: int) -> float:
+    def step(iterations: int, dt: float = float(block["dt"])) -> float:
         solver = SolverXPBD(model, iterations=iterations, soft_body_relaxation=_RELAXATION)
         start.particle_q.assign(block["positions"].astype(np.float32))
         start.particle_qd.zero_()
         begin = time.perf_counter()
-        solver.step(start, end, control, None, float(block["dt"]))
+        solver.step(start, end, control, None, dt)
         return time.perf_counter() - begin
 
     step(_FEW)
     times = [(step(_MANY) - step(_FEW)) / (_MANY - _FEW) for _ in range(_REPETITIONS)]
     is_finite = bool(np.all(np.isfinite(end.particle_q.numpy())))
     outcome = "positions stay finite" if is_finite else "positions are no longer finite"
+
+    def advance(dt: float, iterations: int) -> Any:
+        step(iterations, dt)
+        return end.particle_q.numpy()
+
     return {
         "iteration": summary(times),
+        "reached": follow(block, "trace_and_determinant", advance),
         "threads": 1,
         "notes": [
             f"version {newton.__version__} on Warp {wp.__version__}: Jacobi sweeps, float32, relaxation "
