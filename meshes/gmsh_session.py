@@ -107,10 +107,13 @@ def gmsh_session(name: str) -> Iterator[Any]:
 
 
 def _restore_signals() -> None:
-    """Install Python's handlers again: gmsh resets that of SIGTERM, and Python does not notice."""
+    """Install Python's handlers again: gmsh resets some, and Python does not notice.
+
+    Without this a run under nohup would end with the terminal, and a broken pipe end it without a word.
+    """
     if threading.current_thread() is not threading.main_thread():
         return  # only the main thread may
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGPIPE):
         handler = signal.getsignal(number)
         if handler is not None:
             signal.signal(number, handler)

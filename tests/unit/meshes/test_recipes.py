@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -301,6 +302,23 @@ def test_signals_are_heard_during_meshing_and_after_it() -> None:
     done = subprocess.run([sys.executable, "-c", _SIGNALLED], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["15", "2", "15", "2"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGPIPE], ids=lambda number: number.name)
+def test_ignored_signals_stay_ignored(number: signal.Signals) -> None:
+    """A program under nohup outlives its terminal, and a broken pipe is an error that can be told."""
+    lines = [
+        "import os, signal",
+        "from meshes.gmsh_session import gmsh_session",
+        f"signal.signal({int(number)}, signal.SIG_IGN)",
+        "with gmsh_session('ball') as gmsh:",
+        "    gmsh.model.occ.addSphere(0, 0, 0, 1)",
+        f"    os.kill(os.getpid(), {int(number)})",
+        f"os.kill(os.getpid(), {int(number)})",
+    ]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_foreign_gmsh_session_is_left_as_it_was() -> None:
