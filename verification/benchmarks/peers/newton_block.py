@@ -38,6 +38,7 @@ def make_block(block: Any, colored: bool = False) -> tuple[Any, int]:
         k_mu=float(block["mu"]),
         k_lambda=float(block["lmbda"]),
         k_damp=0.0,
+        particle_radius=0.0,  # by default nodes are balls of 10 cm that push each other away
         add_surface_mesh_edges=False,
         validate_mesh=False,
     )
