@@ -66,7 +66,7 @@ def sample_particles(
     if not isinstance(body, Box):
         x = x[_contains(body, x)]
     if len(x) == 0:
-        raise InputError("particles: no point of the lattice is inside of the body: take smaller cells")
+        raise InputError("no point of the lattice is inside of the body: take smaller cells")
     if jitter > 0.0:
         moved = x + 0.5 * jitter * step * np.random.default_rng(seed).uniform(-1.0, 1.0, x.shape)
         x = np.where(_contains(body, moved)[:, None], moved, x)

@@ -55,19 +55,25 @@ def make_points(scene: PointScene, meshes: Mapping[str, Mesh]) -> Particles:
     Raises
     ------
     InputError
-        If a body has no points.
+        If a body has no points, or some outside of the domain.
     """
     parts = []
     for number, (name, body) in enumerate(scene.bodies.items()):
         shape = _shape(body.shape, False, meshes, name)
-        points = sample_particles(
-            shape, scene.grid.cell_size, body.points_per_axis, body.density, body.jitter, body.seed
-        )
+        try:
+            points = sample_particles(
+                shape, scene.grid.cell_size, body.points_per_axis, body.density, body.jitter, body.seed
+            )
+        except InputError as error:
+            raise InputError(f"bodies.{name}.shape: {error}") from None
         for cut in body.without:
             inside = _shape(cut, True, meshes, name).distance(points.x)[0] > 0.0
             points = points.take(np.flatnonzero(~inside))
         if points.n == 0:
             raise InputError(f"bodies.{name}.without: nothing is left of the body")
+        outside = int(np.any((points.x < scene.grid.low) | (points.x > scene.grid.high), axis=1).sum())
+        if outside:
+            raise InputError(f"bodies.{name}.shape: {outside} points are outside of the domain (grid.low, grid.high)")
         points.body[:] = number
         points.phase[:] = LIQUID if body.starts_liquid else SOLID
         if body.velocity is not None:

@@ -11,6 +11,7 @@ from femdeform.scene.key_path import KeyPath
 from femdeform.scene.measured_checks import unmeasured_findings
 from femdeform.scene.point_quantity_schema import ContactAngleQuantity
 from femdeform.scene.point_schema import PointScene, PointVectorQuantity
+from femdeform.scene.point_start_checks import start_findings
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean
 from femdeform.types import Mesh
@@ -26,7 +27,10 @@ def point_findings(scene: PointScene, meshes: Mapping[str, Mesh]) -> Iterator[Fi
     meshes : mapping of str to Mesh
         Meshes of bodies and walls.
     """
-    yield from _dimension_findings(scene)
+    wrong = list(_dimension_findings(scene))
+    yield from wrong
+    if not wrong:
+        yield from start_findings(scene, meshes)
     yield from _mesh_findings(scene, meshes)
     yield from _heat_findings(scene)
     yield from _scheme_findings(scene)

@@ -100,6 +100,16 @@ def test_nothing_left_is_an_error() -> None:
         make_points(scene(without=[BOX]), {})
 
 
+def test_points_outside_of_the_domain_are_an_error() -> None:
+    """Also where something is cut out, which a check of the file cannot judge."""
+    ball = {"kind": "sphere", "center": [0.95, 0.5], "radius": 0.1}
+    dot = {"kind": "sphere", "center": [0.5, 0.5], "radius": 0.01}
+    with pytest.raises(InputError, match=r"bodies\.slab\.shape: \d+ points are outside of the domain"):
+        make_points(scene(shape=ball, without=[dot]), {})
+    with pytest.raises(InputError, match=r"bodies\.slab\.shape: no point of the lattice is inside"):
+        make_points(scene(shape={"kind": "sphere", "center": [0.5, 0.5], "radius": 1e-6}), {})
+
+
 def test_extent() -> None:
     given = scene()
     value = PointMeter(given, make_materials(given)).evaluate(PointState(make_points(given, {})))["width"]
