@@ -267,7 +267,7 @@ class PointPotential:
         """What may have kept a solve from converging, to be added to its reason: points at the bound of `max_step`.
 
         Nodes that only samples of a surface reach have little mass: in a step longer than capillary waves on the grid
-        allow, about ``sqrt(rho dx^3 / (2 pi k))``, they move so far that their samples shrink to nothing.
+        allow (`mpm.time_step.capillary_limit`), they move so far that their samples shrink to nothing.
         """
         D = self._deform(self.displacement(x), self._D)
         n = self._particles.n

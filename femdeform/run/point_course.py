@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from femdeform import registry
 from femdeform.errors import InputError
 from femdeform.mpm.particles import Particles
+from femdeform.mpm.surface_coefficient import largest_coefficient
 from femdeform.mpm.time_step import capillary_limit, explicit_limit
 from femdeform.run.checkpoint import START_ANEW
 from femdeform.run.course import Columns, Fields, FrameData
@@ -78,33 +79,28 @@ class PointCourse:
         self._measured: dict[str, float] = {}
         self.writer = VTPWriter()
         self.start = PointState(make_points(scene, given.meshes))
-        self._limit = self._longest_step()
-        if self._limit < scene.time.dt:
+        densities = law_densities(self._step.materials, scene)
+        self._lightest = min(density for _, density in densities)
+        self._sound_limit = explicit_limit(scene.grid.cell_size, densities) if solver is None else np.inf
+        limit = self._wave_limit(self.start.particles)
+        if limit < scene.time.dt:
             what = "explicit steps" if solver is None else "steps with surface tension"
-            self.notices.append(f"{what} may not be longer than {self._limit:.3g} s here: dt is halved until it fits")
+            self.notices.append(f"{what} may not be longer than {limit:.3g} s at first: dt is halved until it fits")
 
-    def _longest_step(self) -> float:
-        """What sound and capillary waves allow [s]; the latter bind implicit steps too."""
-        materials, strongest = self._step.materials, 0.0
-        # Temperatures change on the way; what is seen at the start has to do.
-        temperature = self.start.particles.temperature
-        for tension in materials.tensions:
-            if tension is not None:
-                functions = [tension.liquid_gas, *(function for _, function in tension.regions)]
-                functions += [] if tension.solid_liquid is None else [tension.solid_liquid]
-                strongest = max([strongest, *(float(np.abs(each(temperature)).max()) for each in functions)])
-        spacing, densities = self._scene.grid.cell_size, law_densities(materials, self._scene)
-        if self._scene.time.scheme == "explicit":
-            return explicit_limit(spacing, densities, strongest)
-        return capillary_limit(spacing, min(density for _, density in densities), strongest)
+    def _wave_limit(self, particles: Particles) -> float:
+        """What sound and capillary waves allow [s]; the latter bind implicit steps too, and change with temperatures."""
+        spacing = self._scene.grid.cell_size
+        # Samples lie as far from their owners as the radius of the level set, less than a cell.
+        strongest = largest_coefficient(particles, self._step.materials.tensions, spacing)
+        return min(self._sound_limit, capillary_limit(spacing, self._lightest, strongest))
 
     # ------------------------------------------------------------------------------------------------- stepping
 
     def step_limit(self, state: PointState) -> float:
-        """Longest step by the speed of the points, and by sound where the step is explicit [s]."""
+        """Longest step by the speed of the points, by capillary waves, and by sound where the step is explicit [s]."""
         fastest = float(np.sqrt((state.particles.v**2).sum(axis=1).max(initial=0.0)))
         courant = self._scene.time.cfl * self._scene.grid.cell_size / fastest if fastest > 0.0 else np.inf
-        return min(courant, self._limit)
+        return min(courant, self._wave_limit(state.particles))
 
     def attempt(
         self, state: PointState, dt: float, observe: IterationObserver | None
