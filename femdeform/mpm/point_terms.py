@@ -39,6 +39,11 @@ class PointMaterials:
     viscosity: FloatArray
     stiffness: FloatArray | None = None
 
+    def take(self, rows: IntArray) -> PointMaterials:
+        """Those of the points of the given numbers."""
+        stiffness = None if self.stiffness is None else self.stiffness[rows]
+        return PointMaterials(self.solids, self.bulk_modulus[rows], self.viscosity[rows], stiffness)
+
 
 @dataclass(frozen=True)
 class SurfaceTension:
@@ -53,6 +58,10 @@ class SurfaceTension:
 
     samples: SurfaceSamples
     coefficient: FloatArray
+
+    def take(self, rows: IntArray) -> SurfaceTension:
+        """The samples of the given numbers."""
+        return SurfaceTension(self.samples.take(rows), self.coefficient[rows])
 
 
 class PointTerm(Protocol):

@@ -51,8 +51,8 @@ class PointCourse:
     ----------
     given : RunInput
         The checked scene and the meshes of its bodies and walls.
-    comm : None
-        Material points run on one rank.
+    comm : mpi4py communicator or None
+        Ranks share the grid solve of an implicit step; each has all material points, and does all else.
     """
 
     columns = COLUMNS
@@ -71,10 +71,10 @@ class PointCourse:
                 make = registry.resolve(registry.LINEAR_SOLVERS["block_cg"])
                 self._linear_solver = make(options.tolerance, options.max_iterations)
             else:
-                self._linear_solver = make_linear_solver(options, 1, self.notices)
+                self._linear_solver = make_linear_solver(options, 1 if comm is None else comm.Get_size(), self.notices)
             solver = registry.resolve(registry.SOLVERS["projected_newton"])(scene.solver, self._linear_solver)
         self._solver = solver
-        self._step = PointStep(scene, given.meshes, solver)
+        self._step = PointStep(scene, given.meshes, solver, comm)
         self._meter = PointMeter(scene, self._step.materials)
         self._measured: dict[str, float] = {}
         self.writer = VTPWriter()
@@ -88,7 +88,7 @@ class PointCourse:
             self.notices.append(f"{what} may not be longer than {limit:.3g} s at first: dt is halved until it fits")
 
     def _wave_limit(self, particles: Particles) -> float:
-        """What sound and capillary waves allow [s]; the latter bind implicit steps too, and change with temperatures."""
+        """What sound and capillary waves allow [s]; the latter bind implicit steps too and follow temperatures."""
         spacing = self._scene.grid.cell_size
         # Samples lie as far from their owners as the radius of the level set, less than a cell.
         strongest = largest_coefficient(particles, self._step.materials.tensions, spacing)

@@ -88,9 +88,13 @@ class PointStep:
         Of bodies and walls.
     solver : StepSolver, optional
         For implicit steps.
+    comm : mpi4py communicator or None
+        Ranks that share the grid solve out among them; all else every one of them does for all points.
     """
 
-    def __init__(self, scene: PointScene, meshes: Mapping[str, Mesh], solver: StepSolver | None) -> None:
+    def __init__(
+        self, scene: PointScene, meshes: Mapping[str, Mesh], solver: StepSolver | None, comm: Any | None = None
+    ) -> None:
         self.scene = scene
         self.materials: Materials = make_materials(scene)
         self.walls: list[RigidWall] = make_walls(scene, meshes)
@@ -98,7 +102,7 @@ class PointStep:
         self._grid = Grid(scene.grid.cell_size, "quadratic")
         self._low, self._high = np.array(scene.grid.low), np.array(scene.grid.high)
         self._gravity = np.zeros(scene.dim) if scene.gravity is None else np.array(scene.gravity)
-        self._potential = PointPotential(self._gravity, scene.surface.symmetric)
+        self._potential = PointPotential(self._gravity, scene.surface.symmetric, comm)
         self.has_tension = any(tension is not None for tension in self.materials.tensions)
         self.has_heat = self.materials.capacity is not None
         exchanges = any(
