@@ -97,7 +97,7 @@ def explicit_step(
     velocity = before + dt * force / mass[:, None]
     if gravity is not None:
         velocity += dt * np.asarray(gravity)
-    velocity = constrain(walls, groups.stencils.positions, velocity, time + dt)
+    velocity = constrain(walls, groups.stencils.positions, velocity, time + dt, grid.spacing)
     after, n_bounded = advance(particles, laws, groups, velocity, dt, is_affine)
     if transfer == "flip":
         kept = particles.v + groups.to_points(velocity - before)[0]

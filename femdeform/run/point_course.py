@@ -128,6 +128,7 @@ class PointCourse:
                 "heat_iterations": report.heat.iterations,
                 "boundary_power": report.heat.boundary_power,
                 "source_power": report.heat.source_power,
+                "wall_power": report.heat.wall_power,
                 "melted": report.n_melted,
                 "frozen": report.n_frozen,
             }

@@ -112,7 +112,7 @@ def make_walls(scene: PointScene, meshes: Mapping[str, Mesh]) -> list[RigidWall]
             shapes += [Plane(np.array(wall.shape.max), -normal) for normal in inward]
         else:
             shapes = [_shape(wall.shape, wall.inside, meshes, f"walls-{number}")]
-        walls += [RigidWall(shape, wall.kind, velocity, wall.friction) for shape in shapes]
+        walls += [RigidWall(shape, wall.kind, velocity, wall.friction, wall.temperature) for shape in shapes]
     return walls
 
 

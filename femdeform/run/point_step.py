@@ -98,6 +98,7 @@ class PointStep:
         self.scene = scene
         self.materials: Materials = make_materials(scene)
         self.walls: list[RigidWall] = make_walls(scene, meshes)
+        self._tempered = [wall for wall in self.walls if wall.temperature is not None]
         self._solver = solver
         self._grid = Grid(scene.grid.cell_size, "quadratic")
         self._low, self._high = np.array(scene.grid.low), np.array(scene.grid.high)
@@ -181,7 +182,8 @@ class PointStep:
         samples = None
         if surface is not None:
             samples = surface.samples
-            boundary = heat_boundary(self.scene, points, samples)
+            covered = wall_distance(self._tempered, samples.points, time) < 0.0
+            boundary = heat_boundary(self.scene, points, samples, covered)
         report = self._heat.step(
             points,
             samples,
@@ -192,6 +194,7 @@ class PointStep:
             boundary,
             self._sources[points.body],
             self.scene.heat.area_scale,
+            walls=self._tempered,
         )
         if report.converged:
             for number, melting in enumerate(materials.melting):
@@ -244,7 +247,7 @@ class PointStep:
             None if tense is None else SurfaceTension(tense.samples, tense.k),
             [
                 NodeWall(
-                    *wall.distance(positions, time + dt),
+                    *wall.node_distance(positions, time + dt, scene.grid.cell_size),
                     np.broadcast_to(wall.velocity, positions.shape),
                     wall.kind,
                     wall.friction,

@@ -109,6 +109,9 @@ class PointWall(SceneModel):
     )
     friction: NonNegative = Field(default=0.0, description="Coulomb's coefficient, where it slips or separates [-]")
     velocity: Vector | None = Field(default=None, description="velocity [m/s]")
+    temperature: Finite | None = Field(
+        default=None, description="temperature that it keeps bodies at where they touch it [K]; default: it insulates"
+    )
 
 
 # ------------------------------------------------------------------------------------------------------- bodies

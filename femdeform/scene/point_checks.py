@@ -103,6 +103,9 @@ def _heat_findings(scene: PointScene) -> Iterator[Finding]:
     if having and len(having) < len(scene.bodies):
         lacking = next(name for name in scene.bodies if name not in having)
         yield Finding(("bodies", lacking), f"needs `heat`, as `{having[0]}` has it: all bodies conduct it, or none")
+    for number, wall in enumerate(scene.walls):
+        if wall.temperature is not None and not having:
+            yield Finding(("walls", number, "temperature"), "needs bodies that conduct heat: give them `heat`")
 
 
 def _scheme_findings(scene: PointScene) -> Iterator[Finding]:
