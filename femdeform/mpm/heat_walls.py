@@ -1,13 +1,14 @@
 """Walls that keep their temperature, in the conduction of heat on a grid.
 
-Nodes in such a wall are no unknowns. A node at the signed distance phi <= 0 continues the temperature on the free side
-in a straight line through that of the wall,
+Nodes in such a wall, and those less than half a cell outside of it, are no unknowns. Each continues the temperature of
+a free node beside it in a straight line through that of the wall,
 
-    T_i = T_wall + (phi_i / s) (T(y) - T_wall),          y = x_i + (s - phi_i) n,
+    T_i = T_wall + (phi_i / phi_j) (T_j - T_wall),
 
-with a place y at the distance s = max(|phi_i|, dx) from the wall, at which the values of the free nodes around it are
-interpolated. Temperatures that are linear across a plane wall are then exact wherever it lies between the nodes. Test
-functions follow the same rule, so the matrix of the free nodes stays symmetric and positive definite.
+with the signed distances phi and j the closest free node on the grid line through i that lies most across the wall.
+Across a wall along the axes such fields, and test functions of the same kind, meet the condition at the wall exactly,
+wherever it lies between the nodes: temperatures that are linear across it are exact. The matrix of the free nodes stays
+symmetric and positive definite.
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import scipy.sparse
 
 from femdeform.types import BoolArray, FloatArray, IntArray
 
-# Weights of a place's nodes that count as none.
-_SMALLEST = 1e-9
+# Cells within which a free node is looked for.
+_REACH = 4
 
 
 class TemperedWall(Protocol):
@@ -83,72 +85,49 @@ def hold_temperatures(
     time : float
         [s].
     """
-    n, dim = positions.shape
-    wall_of, phi, normals = np.full(n, -1), np.zeros(n), np.zeros((n, dim))
+    n = len(positions)
     tempered = [wall for wall in walls if wall.temperature is not None]
+    wall_of, across = np.full(n, -1), np.zeros(n, dtype=np.int64)
+    phi, of_wall = np.zeros((len(tempered), n)), np.zeros(n)
+    towards = np.zeros(n, dtype=np.int64)
     for number, wall in enumerate(tempered):
-        distance, normal = wall.node_distance(positions, time, spacing)
-        mine = np.flatnonzero((wall_of < 0) & active & (distance <= 0.0))
-        wall_of[mine], phi[mine], normals[mine] = number, distance[mine], normal[mine]
+        phi[number], normal = wall.node_distance(positions, time, spacing)
+        axis = np.argmax(np.abs(normal), axis=1)
+        along = np.take_along_axis(normal, axis[:, None], axis=1)[:, 0]
+        mine = np.flatnonzero((wall_of < 0) & active & (phi[number] <= 0.5 * spacing * np.abs(along)))
+        wall_of[mine], of_wall[mine] = number, wall.temperature
+        across[mine], towards[mine] = axis[mine], np.where(along[mine] > 0.0, 1, -1)
     nodes = np.flatnonzero(wall_of >= 0)
     if nodes.size == 0:
         return None
-    of_wall = np.array([wall.temperature for wall in tempered], dtype=np.float64)[wall_of[nodes]]
-    is_free = active & (wall_of < 0)
-    slope = _Places(positions, spacing, is_free).slope(positions[nodes], phi[nodes], normals[nodes])
-    constant = of_wall * (1.0 - np.asarray(slope.sum(axis=1)).ravel())
-    return HeldTemperatures(nodes, constant, slope)
+    beside = _closest_free(positions, spacing, active & (wall_of < 0), nodes, across[nodes], towards[nodes])
+    found = np.flatnonzero(beside >= 0)
+    mine, other, number = nodes[found], beside[found], wall_of[nodes[found]]
+    ratio = np.zeros(nodes.size)
+    ratio[found] = phi[number, mine] / phi[number, other]
+    # Where no free node is near, in a film, the wall alone counts.
+    slope = scipy.sparse.csr_matrix((ratio[found], (found, other)), shape=(nodes.size, n))
+    return HeldTemperatures(nodes, of_wall[nodes] * (1.0 - ratio), slope)
 
 
-class _Places:
-    """Interpolation between free nodes of a grid."""
-
-    def __init__(self, positions: FloatArray, spacing: float, is_free: BoolArray) -> None:
-        self._spacing, self._is_free = spacing, is_free
-        index = np.rint(positions / spacing).astype(np.int64)
-        # With a margin for places outside, whose nodes must not be taken for those of another row.
-        self._low = index.min(axis=0) - 4
-        extent = index.max(axis=0) + 5 - self._low
-        self._extent = extent
-        self._strides = np.append(np.cumprod(extent[::-1])[-2::-1], 1).astype(np.int64)
-        self._keys = (index - self._low) @ self._strides
-
-    def slope(self, x: FloatArray, phi: FloatArray, normals: FloatArray) -> Any:
-        """Rows ``phi/s`` times the weights of the places of nodes x (n, dim); empty where a place has no free nodes."""
-        import scipy.sparse
-
-        n, dim = x.shape
-        rows, columns, values = [], [], []
-        left = np.arange(n)
-        # A second place farther off where the nearest one touches the wall: in a cell that lies aslant.
-        for reach in (1.0, float(np.sqrt(dim))):
-            s = np.maximum(-phi[left], reach * self._spacing)
-            y = x[left] + (s - phi[left])[:, None] * normals[left]
-            nodes, weights, known = self._around(y)
-            ratio = (phi[left] / s)[:, None] * weights
-            found = np.flatnonzero(known)
-            rows.append(np.repeat(left[found], nodes.shape[1]))
-            columns.append(nodes[found].ravel())
-            values.append(ratio[found].ravel())
-            left = left[~known]
-        row, column, value = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
-        kept = value != 0.0
-        shape = (n, self._keys.size)
-        return scipy.sparse.csr_matrix((value[kept], (row[kept], column[kept])), shape=shape)
-
-    def _around(self, y: FloatArray) -> tuple[IntArray, FloatArray, BoolArray]:
-        """Corners of the cells around places (n, 2^dim), their weights, and whether all that count are free."""
-        dim = y.shape[1]
-        place = y / self._spacing
-        base = np.floor(place).astype(np.int64)
-        f = place - base
-        corners = np.stack(np.meshgrid(*[[0, 1]] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
-        weights = np.prod(np.where(corners[None] == 1, f[:, None], 1.0 - f[:, None]), axis=2)
-        weights = np.where(weights > _SMALLEST, weights, 0.0)
-        weights /= weights.sum(axis=1, keepdims=True)
-        index = base[:, None] + corners[None] - self._low
-        within = ((index >= 0) & (index < self._extent)).all(axis=2)
-        keys = np.where(within, index @ self._strides, -1)
-        nodes = np.minimum(np.searchsorted(self._keys, keys), self._keys.size - 1)
-        free = (self._keys[nodes] == keys) & self._is_free[nodes]
-        return nodes, weights, np.asarray((free | (weights == 0.0)).all(axis=1))
+def _closest_free(
+    positions: FloatArray, spacing: float, is_free: BoolArray, nodes: IntArray, axis: IntArray, towards: IntArray
+) -> IntArray:
+    """Closest free node (n,) on the line through each of some nodes, along an axis in one direction; -1 if none is."""
+    dim = positions.shape[1]
+    index = np.rint(positions / spacing).astype(np.int64)
+    # With a margin, so that places outside are not those of another row.
+    index -= index.min(axis=0) - _REACH
+    extent = index.max(axis=0) + 1 + _REACH
+    strides = np.append(np.cumprod(extent[::-1])[-2::-1], 1).astype(np.int64)
+    keys = index @ strides
+    out = np.full(nodes.size, -1)
+    for k in range(1, _REACH + 1):
+        left = np.flatnonzero(out < 0)
+        shift = np.zeros((left.size, dim), dtype=np.int64)
+        shift[np.arange(left.size), axis[left]] = k * towards[left]
+        wanted = keys[nodes[left]] + shift @ strides
+        place = np.minimum(np.searchsorted(keys, wanted), keys.size - 1)
+        found = (keys[place] == wanted) & is_free[place]
+        out[left[found]] = place[found]
+    return out

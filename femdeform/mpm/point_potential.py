@@ -193,9 +193,9 @@ class PointPotential:
         self.terms = []
         if has_liquid:
             self.terms.append(LiquidTerm(points, liquid, materials, dt, self._tangents.alpha, self._tangents.beta))
-        volume = points.volume if materials.stiffness is None else materials.stiffness * points.volume
         for body, rows in solids.items():
-            self.terms.append(SolidTerm(materials.solids[body], rows, self.quadrature.base, volume, place))
+            law, base = materials.solids[body], self.quadrature.base
+            self.terms.append(SolidTerm(law, rows, base, points.volume, place, materials.moduli))
         if tension is not None and has_samples:
             self.terms.append(SurfaceTerm(tension, points.n, self.symmetric_surface, place))
         self._D, self._P, self._S = np.zeros((3, n, self.dim**2))

@@ -175,7 +175,6 @@ class PointStep:
         """Move temperatures on, latent heat included."""
         materials = self.materials
         assert materials.capacity is not None
-        assert materials.conductivity is not None
         before = points.temperature.copy()
         capacity = materials.capacity[points.body]
         boundary = None
@@ -190,7 +189,7 @@ class PointStep:
             dt,
             time + dt,
             capacity,
-            materials.conductivity[points.body],
+            materials.conductivities(points),
             boundary,
             self._sources[points.body],
             self.scene.heat.area_scale,

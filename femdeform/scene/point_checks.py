@@ -111,6 +111,10 @@ def _heat_findings(scene: PointScene) -> Iterator[Finding]:
 def _scheme_findings(scene: PointScene) -> Iterator[Finding]:
     for name, body in scene.bodies.items():
         liquid = body.liquid
+        if scene.time.scheme == "explicit" and body.moduli is not None:
+            yield Finding(
+                ("bodies", name, "moduli"), "follow the temperature in implicit steps only; use backward_euler"
+            )
         if scene.time.scheme == "explicit" and liquid is not None:
             for key in ("bulk_modulus", "viscosity"):
                 if not isinstance(getattr(liquid, key), float):

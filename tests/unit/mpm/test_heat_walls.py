@@ -30,9 +30,11 @@ def slab(dim: int, shift: float, angle: float = 0.0) -> tuple[Particles, list[Ri
     thickness, start = 0.25, 0.25 + shift * DX
     lattice = np.stack(np.meshgrid(*[np.arange(-3 * 16, 3 * 64) * DX / 3 + DX / 6] * dim, indexing="ij"), -1)
     x = lattice.reshape(-1, dim)
+    if not angle:
+        x = x + (start - 0.25) * normal
     along = x @ normal - start
-    side = np.abs(x - 0.4).max(axis=1) if angle else np.abs(x[:, 1:] - 0.4).max(axis=1)
-    kept = (along > 0.0) & (along < thickness) & (side < (0.4 if angle else 0.1))
+    side = np.abs(x @ np.array([-normal[1], normal[0]]) - 0.2) if angle else np.abs(x[:, 1:] - 0.4).max(axis=1)
+    kept = (along > 0.0) & (along < thickness) & (side < (0.2 if angle else 0.1))
     x = x[kept]
     volume = (DX / 3) ** dim
     points = Particles.at(x, np.full(len(x), volume), np.full(len(x), volume))
@@ -65,7 +67,9 @@ def test_a_slab_across_the_grid() -> None:
         assert conduction.step(points, None, 1e3, 0.0, 1.0, 2.0, walls=walls).converged
     along = points.x @ normal - (0.25 + 0.3 * DX)
     exact = HOT + (COLD - HOT) * along / thickness
-    assert np.abs(points.temperature - exact).max() < 0.02 * (HOT - COLD)
+    # Less exact than along the grid, and where a wall, an insulated end and the grid meet.
+    assert np.sqrt(np.mean((points.temperature - exact) ** 2)) < 0.005 * (HOT - COLD)
+    assert np.abs(points.temperature - exact).max() < 0.025 * (HOT - COLD)
 
 
 def test_a_slab_heats_up() -> None:
@@ -112,7 +116,7 @@ def test_at_the_temperature_of_the_walls_nothing_happens() -> None:
     points, walls, _, _ = slab(2, 0.3)
     walls = [wall(np.asarray(each.shape.point), np.asarray(each.shape.normal), COLD) for each in walls]
     report = HeatConduction(Grid(DX, "quadratic")).step(points, None, 1.0, 0.0, 1.0, 1.0, walls=walls)
-    np.testing.assert_allclose(points.temperature, COLD, rtol=1e-13)
+    np.testing.assert_allclose(points.temperature, COLD, rtol=1e-12)
     assert abs(report.wall_power) < 1e-9
 
 
@@ -121,7 +125,7 @@ def test_a_body_that_does_not_reach_the_wall_is_insulated() -> None:
     points.temperature[:] = COLD
     far = [wall(np.array([0.0, 0.3]), np.array([0.0, 1.0]), HOT)]
     report = HeatConduction(Grid(DX, "quadratic")).step(points, None, 1.0, 0.0, 1.0, 1.0, walls=far)
-    np.testing.assert_allclose(points.temperature, COLD, rtol=1e-13)
+    np.testing.assert_allclose(points.temperature, COLD, rtol=1e-12)
     assert report.wall_power == 0.0
 
 
@@ -129,18 +133,16 @@ def test_linear_temperatures_are_continued() -> None:
     """At held nodes too, whatever the direction of the wall; where nothing is free, they take that of the wall."""
     index = np.stack(np.meshgrid(np.arange(12), np.arange(12), indexing="ij"), -1).reshape(-1, 2)
     positions = index * DX
-    normal = np.array([0.8, 0.6])
-    there = wall(np.array([4.3 * DX, 4.1 * DX]), normal, 300.0)
+    there = wall(np.array([4.3 * DX, 4.1 * DX]), np.array([0.8, 0.6]), 300.0)
     phi = there.distance(positions, 0.0)[0]
     held = hold_temperatures([there], positions, DX, np.ones(len(positions), dtype=bool), 0.0)
     assert held is not None
-    np.testing.assert_array_equal(np.sort(held.nodes), np.flatnonzero(phi <= 0.0))
+    np.testing.assert_array_equal(held.nodes, np.flatnonzero(phi <= 0.4 * DX))
     T = 300.0 + 40.0 * phi
     found = held.constant + held.slope @ T
     near = phi[held.nodes] > -1.5 * DX
-    inner = ((index[held.nodes] > 2) & (index[held.nodes] < 9)).all(axis=1)
-    assert (near & inner).sum() > 5
-    np.testing.assert_allclose(found[near & inner], T[held.nodes][near & inner], rtol=1e-12)
+    assert near.sum() > 10
+    np.testing.assert_allclose(found[near], T[held.nodes][near], rtol=1e-12)
     alone = hold_temperatures([there], positions, DX, phi <= 0.0, 0.0)
     assert alone is not None
     np.testing.assert_array_equal(alone.constant, 300.0)
