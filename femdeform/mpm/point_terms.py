@@ -168,15 +168,15 @@ class SolidTerm:
 
     def energies(self, D: FloatArray, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._energies(D, self._base, self.rows, self._volume, self._laws, self._moduli, out)
+        self._energies(D, self._base, self.rows, self._volume, *self._laws, self._moduli, out)
 
     def stresses(self, D: FloatArray, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._stresses(D, self._base, self.rows, self._volume, self._laws, self._moduli, out)
+        self._stresses(D, self._base, self.rows, self._volume, *self._laws, self._moduli, out)
 
     def tangents(self, D: FloatArray, project: bool, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._tangents(D, self._base, self.rows, self._volume, self._laws, self._moduli, project, self._place, out)
+        self._tangents(D, self._base, self.rows, self._volume, *self._laws, self._moduli, project, self._place, out)
 
 
 class SurfaceTerm:

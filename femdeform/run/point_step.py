@@ -141,15 +141,18 @@ class PointStep:
             surface = self._surface(points, time, step)
         except ValueError as error:
             return particles, PointReport(False, str(error))
+        # Samples without tension are there for the heat only.
+        tense = surface if self.has_tension else None
+        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid)
         heat = None
         if self.has_heat:
-            heat = self._conduct(points, surface, time, dt)
+            heat = self._conduct(points, surface, groups, time, dt)
             if not heat.converged:
                 return particles, PointReport(False, "the conduction of heat did not converge", heat=heat)
         if self.scene.time.scheme == "explicit":
-            new, report = self._explicit(points, surface, time, dt)
+            new, report = self._explicit(points, tense, groups, time, dt)
         else:
-            new, report = self._implicit(points, surface, time, dt, observe)
+            new, report = self._implicit(points, tense, groups, time, dt, observe)
         report = replace(report, heat=heat)
         if surface is not None:
             area = float(surface.samples.measure.sum())
@@ -171,7 +174,9 @@ class PointStep:
             k = surface_coefficients(samples, points, self.materials.tensions, distance).k
         return _Surface(samples, k)
 
-    def _conduct(self, points: Particles, surface: _Surface | None, time: float, dt: float) -> HeatReport:
+    def _conduct(
+        self, points: Particles, surface: _Surface | None, groups: Groups, time: float, dt: float
+    ) -> HeatReport:
         """Move temperatures on, latent heat included."""
         materials = self.materials
         assert materials.capacity is not None
@@ -193,7 +198,8 @@ class PointStep:
             boundary,
             self._sources[points.body],
             self.scene.heat.area_scale,
-            walls=self._tempered,
+            groups.stencils.of_first(points.n) if self.scene.heat.quadrature == "owner" else None,
+            self._tempered,
         )
         if report.converged:
             for number, melting in enumerate(materials.melting):
@@ -205,17 +211,15 @@ class PointStep:
         return report
 
     def _explicit(
-        self, points: Particles, surface: _Surface | None, time: float, dt: float
+        self, points: Particles, tense: _Surface | None, groups: Groups, time: float, dt: float
     ) -> tuple[Particles, PointReport]:
         scene = self.scene
-        # Samples without tension are there for the heat only.
-        tense = surface if self.has_tension else None
         done = explicit_step(
             points,
             self.materials.laws,
             self._grid,
             dt,
-            samples=None if tense is None else tense.samples,
+            groups=groups,
             forces=None if tense is None else lambda groups: surface_forces(groups, tense.samples, tense.k),
             gravity=self._gravity,
             walls=self.walls,
@@ -226,12 +230,16 @@ class PointStep:
         return done.particles, PointReport(True, "", n_nodes=done.mass.size, n_bounded=done.n_bounded)
 
     def _implicit(
-        self, points: Particles, surface: _Surface | None, time: float, dt: float, observe: IterationObserver | None
+        self,
+        points: Particles,
+        tense: _Surface | None,
+        groups: Groups,
+        time: float,
+        dt: float,
+        observe: IterationObserver | None,
     ) -> tuple[Particles, PointReport]:
         scene = self.scene
         assert self._solver is not None
-        tense = surface if self.has_tension else None
-        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid)
         is_affine = scene.transfer.scheme in ("apic", "group_apic")
         affine = points.affine if is_affine else np.zeros_like(points.affine)
         mass, velocity = groups.to_grid(points.v, affine, scene.transfer.scheme == "group_apic")
