@@ -189,7 +189,7 @@ class HeatConduction:
         conductivity: float | FloatArray,
         boundary: HeatBoundary | None = None,
         source: Field = 0.0,
-        area_scale: float = 1.0,
+        area_scale: float | FloatArray = 1.0,
         stencils: Stencils | None = None,
         walls: Sequence[TemperedWall] = (),
     ) -> HeatReport:
@@ -211,7 +211,7 @@ class HeatConduction:
             At the samples; default nothing.
         source : Field
             H at the material points [W/m^3].
-        area_scale : float
+        area_scale : float or (n_samples,) float64
             Factor of the samples' areas, for the hull of a body where the contour outside it is known to be larger.
         stencils : Stencils, optional
             Of the material points, where they are at hand; only for the quadrature ``owner``.
@@ -300,7 +300,7 @@ class HeatConduction:
 
     @staticmethod
     def _exchange(
-        samples: SurfaceSamples | None, boundary: HeatBoundary | None, time: float, area_scale: float
+        samples: SurfaceSamples | None, boundary: HeatBoundary | None, time: float, area_scale: float | FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Heat transfer [W/K], flux [W] and ambient temperature [K] of each sample."""
         if samples is None:

@@ -74,11 +74,11 @@ class PointCourse:
                 self._linear_solver = make_linear_solver(options, 1 if comm is None else comm.Get_size(), self.notices)
             solver = registry.resolve(registry.SOLVERS["projected_newton"])(scene.solver, self._linear_solver)
         self._solver = solver
-        self._step = PointStep(scene, given.meshes, solver, comm)
+        self.start = PointState(make_points(scene, given.meshes))
+        self._step = PointStep(scene, given.meshes, solver, comm, self.start.particles)
         self._meter = PointMeter(scene, self._step.materials)
         self._measured: dict[str, float] = {}
         self.writer = VTPWriter()
-        self.start = PointState(make_points(scene, given.meshes))
         densities = law_densities(self._step.materials, scene)
         self._lightest = min(density for _, density in densities)
         self._sound_limit = explicit_limit(scene.grid.cell_size, densities) if solver is None else np.inf

@@ -26,7 +26,8 @@ from femdeform.mpm.surface_forces import surface_forces
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
 from femdeform.run.heated_places import heat_boundary
-from femdeform.run.point_setup import Materials, heat_sources, make_materials, make_walls
+from femdeform.run.hull_areas import area_scales
+from femdeform.run.point_setup import Materials, heat_sources, make_materials, make_points, make_walls
 from femdeform.scene.point_schema import PointScene
 from femdeform.step_problem import IterationObserver, StepSolver
 from femdeform.types import FloatArray, Mesh
@@ -90,10 +91,17 @@ class PointStep:
         For implicit steps.
     comm : mpi4py communicator or None
         Ranks that share the grid solve out among them; all else every one of them does for all points.
+    start : Particles, optional
+        All points at the start of the run, where they are at hand.
     """
 
     def __init__(
-        self, scene: PointScene, meshes: Mapping[str, Mesh], solver: StepSolver | None, comm: Any | None = None
+        self,
+        scene: PointScene,
+        meshes: Mapping[str, Mesh],
+        solver: StepSolver | None,
+        comm: Any | None = None,
+        start: Particles | None = None,
     ) -> None:
         self.scene = scene
         self.materials: Materials = make_materials(scene)
@@ -120,6 +128,10 @@ class PointStep:
             offset = (radius - 0.5 / per_axis) * scene.grid.cell_size
         self._heat = HeatConduction(self._grid, heat.quadrature, offset, heat.tolerance)
         self._sources = heat_sources(scene)
+        # Of each body; only what exchanges heat asks for it.
+        self._area_scales = np.ones(len(scene.bodies))
+        if exchanges:
+            self._area_scales = area_scales(scene, meshes, make_points(scene, meshes) if start is None else start)
         # Without surface and heat explicit steps go through blocks of nodes, which is many times as fast.
         self._is_fast = scene.time.scheme == "explicit" and not (self._samples_surface or self.has_heat)
         self._is_fast = self._is_fast and scene.transfer.scheme != "group_apic"
@@ -197,7 +209,7 @@ class PointStep:
             materials.conductivities(points),
             boundary,
             self._sources[points.body],
-            self.scene.heat.area_scale,
+            1.0 if samples is None else self._area_scales[points.body[samples.owner]],
             groups.stencils.of_first(points.n) if self.scene.heat.quadrature == "owner" else None,
             self._tempered,
         )
