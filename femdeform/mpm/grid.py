@@ -70,7 +70,7 @@ class Stencils:
 
     def of_first(self, n: int) -> Stencils:
         """Stencils of the first n points alone: what `Grid.stencils` would make of them."""
-        weights, nodes = self.weights[:n], np.ascontiguousarray(self.nodes[:n])
+        weights, nodes = self.weights[:n], self.nodes[:n].copy()
         counts = np.empty(self.n_nodes, dtype=np.int64)
         stencil_kernels.count_below(self.offsets, self.entries, n * weights.shape[1], counts)
         is_active = counts > 0

