@@ -183,9 +183,16 @@ class Partition:
         if self.comm is None:
             return np.array(values)
         parts = self.comm.gather((self.nodes[: self.n_owned], values[: self.n_owned]), root=0)
-        if parts is None:
-            return None
-        whole = np.empty((self.n_global, *values.shape[1:]))
+        return None if parts is None else self._joined(parts)
+
+    def everywhere(self, values: FloatArray) -> FloatArray:
+        """Return a node field of the whole problem, in the order of the input, on every rank."""
+        if self.comm is None:
+            return np.array(values)
+        return self._joined(self.comm.allgather((self.nodes[: self.n_owned], values[: self.n_owned])))
+
+    def _joined(self, parts: list[tuple[IntArray, FloatArray]]) -> FloatArray:
+        whole = np.empty((self.n_global, *parts[0][1].shape[1:]))
         for nodes, part in parts:
             whole[nodes] = part
         return whole

@@ -94,6 +94,46 @@ def _at_compile_time(name: str, argument: Any, law: Any, dims: dict[int, int]) -
         raise TypingError(str(error)) from None
 
 
+# ---------------------------------------------------------------------------------------- constants
+
+
+def combined(first: Law, second: Law, a: float, b: float) -> Law:
+    """The law whose parameters are ``a`` and ``b`` times those of two laws of one class.
+
+    Parameters of all laws, and with them energies, are linear in the Lame parameters: with ``from_lame(1, 0, dim)`` and
+    ``from_lame(0, 1, dim)`` this is the law of mu = a and lmbda = b, in compiled loops where these differ from
+    point to point.
+    """
+    pairs = zip(cast("tuple[float, ...]", first), cast("tuple[float, ...]", second), strict=True)
+    return type(first)(*(a * x + b * y for x, y in pairs))
+
+
+@extending.overload(combined)
+def _combined(first: Any, second: Any, a: Any, b: Any) -> Any:
+    if not isinstance(first, types.BaseNamedTuple):
+        raise TypingError(f"combined: laws must be named tuples, not {first}")
+    law, n = first.instance_class, len(first)
+
+    def two(first: Any, second: Any, a: Any, b: Any) -> Any:
+        return law(a * first[0] + b * second[0], a * first[1] + b * second[1])
+
+    def three(first: Any, second: Any, a: Any, b: Any) -> Any:
+        return law(a * first[0] + b * second[0], a * first[1] + b * second[1], a * first[2] + b * second[2])
+
+    def four(first: Any, second: Any, a: Any, b: Any) -> Any:
+        return law(
+            a * first[0] + b * second[0],
+            a * first[1] + b * second[1],
+            a * first[2] + b * second[2],
+            a * first[3] + b * second[3],
+        )
+
+    by_length = {2: two, 3: three, 4: four}
+    if n not in by_length:
+        raise TypingError(f"combined: {law.__name__} has {n} parameters")
+    return by_length[n]
+
+
 # ---------------------------------------------------------------------------------------- energy density
 
 

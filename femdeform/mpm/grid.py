@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from femdeform.mpm import kernels
+from femdeform.mpm import kernels, stencil_kernels
 from femdeform.types import FloatArray, IntArray
 
 # Degrees of the B-splines by their words.
 DEGREES = {"linear": 1, "quadratic": 2}
+# Parts of the points that are listed at the same time; a constant, so that nothing depends on the threads.
+_PARTS = 8
+# Nodes of a box around all points that are numbered one by one; in larger and emptier ones, only those near points.
+_SMALL_BOX = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,20 @@ class Stencils:
         out = np.empty((self.n_nodes, values.shape[1]))
         kernels.sum_at_nodes(np.ascontiguousarray(values), self.weights, self.offsets, self.entries, out)
         return out
+
+    def of_first(self, n: int) -> Stencils:
+        """Stencils of the first n points alone: what `Grid.stencils` would make of them."""
+        weights, nodes = self.weights[:n], self.nodes[:n].copy()
+        counts = np.empty(self.n_nodes, dtype=np.int64)
+        stencil_kernels.count_below(self.offsets, self.entries, n * weights.shape[1], counts)
+        is_active = counts > 0
+        kept = np.flatnonzero(is_active)
+        stencil_kernels.renumber((np.cumsum(is_active) - 1).astype(np.int32), weights, nodes)
+        offsets = np.concatenate([[0], np.cumsum(counts[kept])]).astype(np.int64)
+        entries = np.empty(int(offsets[-1]), dtype=np.int64)
+        stencil_kernels.copy_entries(kept, self.offsets, self.entries, offsets, entries)
+        positions = self.positions[kept]
+        return Stencils(self.spacing, self.degree, positions, nodes, weights, self.gradients[:n], offsets, entries)
 
     def nodes_of(self, points: IntArray) -> IntArray:
         """Nodes with a weight at one of the points, ascending."""
@@ -136,31 +154,61 @@ class Grid:
             raise ValueError("the points lie too far apart for the cell size")
         strides = np.append(np.cumprod(extent[::-1])[-2::-1], 1)
         shift = np.stack(np.meshgrid(*[np.arange(side)] * dim, indexing="ij"), axis=-1).reshape(-1, dim) @ strides
-        first = (base - low) @ strides
-        own, of_point = np.unique(first, return_inverse=True)
-        touched = np.unique(own[:, None] + shift)
-        numbers = np.searchsorted(touched, own[:, None] + shift)[of_point.ravel()]
+        touched, cell_nodes, cell_of_point = _numbered((base - low) @ strides, shift, int(np.prod(extent)))
+        nodes = np.empty((n, side**dim), dtype=np.int32)
+        stencil_kernels.node_numbers(cell_nodes, cell_of_point, weights, nodes)
+        counts = np.empty((_PARTS, touched.size), dtype=np.int64)
+        stencil_kernels.count_entries(nodes, weights, counts)
         # Nodes at which every weight vanishes, at knots of the splines, carry no mass.
-        is_active = np.zeros(touched.size, dtype=bool)
-        is_active[numbers[weights > 0.0]] = True
-        renumbered = np.where(is_active, np.cumsum(is_active) - 1, 0)
-        nodes = np.where(weights > 0.0, renumbered[numbers], 0).astype(np.int32)
-        active = touched[is_active]
-        index = np.empty((active.size, dim), dtype=np.int64)
-        rest = active
+        total = counts.sum(axis=0)
+        is_active = total > 0
+        if not is_active.all():
+            stencil_kernels.renumber((np.cumsum(is_active) - 1).astype(np.int32), weights, nodes)
+            counts, total, touched = np.ascontiguousarray(counts[:, is_active]), total[is_active], touched[is_active]
+        offsets = np.concatenate([[0], np.cumsum(total)]).astype(np.int64)
+        stencil_kernels.first_entries(offsets, counts)
+        entries = np.empty(int(offsets[-1]), dtype=np.int64)
+        stencil_kernels.fill_entries(nodes, weights, counts, entries)
+        index, rest = np.empty((touched.size, dim), dtype=np.int64), touched
         for a in range(dim):
             index[:, a], rest = rest // strides[a], rest % strides[a]
-        flat = np.flatnonzero(weights.ravel() > 0.0)
-        of_entry = nodes.ravel()[flat]
-        order = np.argsort(of_entry, kind="stable")
-        counts = np.bincount(of_entry, minlength=active.size)
-        return Stencils(
-            self.spacing,
-            self.degree,
-            (index + low) * self.spacing,
-            nodes,
-            weights,
-            gradients,
-            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-            flat[order].astype(np.int64),
-        )
+        positions = (index + low) * self.spacing
+        return Stencils(self.spacing, self.degree, positions, nodes, weights, gradients, offsets, entries)
+
+
+def _numbered(first: IntArray, shift: IntArray, size: int) -> tuple[IntArray, Any, Any]:
+    """Number the cells that hold points, and the nodes around them.
+
+    Parameters
+    ----------
+    first : (n,) int64
+        Number of the lowest node of each point in a box around all.
+    shift : (n_stencil,) int64
+        What is added to it for the other nodes of a stencil.
+    size : int
+        Number of nodes in the box.
+
+    Returns
+    -------
+    touched : (n_touched,) int64
+        Nodes of all stencils, ascending.
+    cell_nodes : (n_cells, n_stencil) int32
+        Their places in it, for each occupied cell.
+    cell_of_point : (n,) int32
+        Cell of each point.
+    """
+    if size > max(_SMALL_BOX, 8 * first.size):
+        own, of_point = np.unique(first, return_inverse=True)
+        touched = np.unique(own[:, None] + shift)
+        cell_nodes = np.searchsorted(touched, own[:, None] + shift)
+        return touched, cell_nodes.astype(np.int32), of_point.ravel().astype(np.int32)
+    there, number = np.zeros(size, dtype=bool), np.empty(size, dtype=np.int32)
+    there[first] = True
+    own = np.flatnonzero(there)
+    number[own] = np.arange(own.size)
+    cell_of_point = number[first]
+    for s in shift:
+        there[own + s] = True
+    touched = np.flatnonzero(there)
+    number[touched] = np.arange(touched.size)
+    return touched, number[own[:, None] + shift], cell_of_point

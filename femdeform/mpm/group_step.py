@@ -53,6 +53,7 @@ def explicit_step(
     dt: float,
     *,
     samples: SurfaceSamples | None = None,
+    groups: Groups | None = None,
     forces: Callable[[Groups], FloatArray] | None = None,
     gravity: FloatArray | None = None,
     walls: Sequence[RigidWall] = (),
@@ -74,6 +75,8 @@ def explicit_step(
         [s].
     samples : SurfaceSamples, optional
         Of the surface of the points as they are.
+    groups : Groups, optional
+        Of the points and their samples, where they are at hand.
     forces : callable, optional
         Further forces at the nodes (n_nodes, dim) [N], of surface tension: ``-d(energy)/dy`` at the nodes of the
         groups' stencils, before they move.
@@ -86,7 +89,8 @@ def explicit_step(
     flip : float
         Part of FLIP in its blend with PIC [-].
     """
-    groups = Groups.split(particles.x, particles.mass, samples, grid)
+    if groups is None:
+        groups = Groups.split(particles.x, particles.mass, samples, grid)
     is_affine = transfer in ("apic", "group_apic")
     affine = particles.affine if is_affine else np.zeros_like(particles.affine)
     mass, before = groups.to_grid(particles.v, affine, transfer == "group_apic")
@@ -97,7 +101,7 @@ def explicit_step(
     velocity = before + dt * force / mass[:, None]
     if gravity is not None:
         velocity += dt * np.asarray(gravity)
-    velocity = constrain(walls, groups.stencils.positions, velocity, time + dt)
+    velocity = constrain(walls, groups.stencils.positions, velocity, time + dt, grid.spacing)
     after, n_bounded = advance(particles, laws, groups, velocity, dt, is_affine)
     if transfer == "flip":
         kept = particles.v + groups.to_points(velocity - before)[0]

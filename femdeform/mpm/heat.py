@@ -4,7 +4,8 @@
                           - sum_r N_i(q_r) [h (T'(q_r) - Tbar) - b] |dA_r|
 
 with heat capacities C, samples r of the surface, their areas |dA_r|, heat transfer h, ambient temperature Tbar, heating
-b and sources H. One linear system a step, symmetric and positive definite, by conjugate gradients.
+b and sources H. One linear system a step, symmetric and positive definite, by conjugate gradients. Walls may keep the
+nodes inside of them at a temperature (`mpm.heat_walls`).
 
 References
 ----------
@@ -18,7 +19,7 @@ maximum principle: the transfer extrapolates.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,7 @@ import numpy as np
 from femdeform.mpm import heat_kernels as kernels
 from femdeform.mpm.grid import Grid, Stencils
 from femdeform.mpm.heat_matrix import ConductionMatrix
+from femdeform.mpm.heat_walls import TemperedWall, hold_temperatures
 from femdeform.mpm.particles import LIQUID, Particles
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.types import FloatArray, IntArray
@@ -59,7 +61,7 @@ class HeatBoundary:
 
 @dataclass(frozen=True)
 class HeatReport:
-    """What a step of conduction did; ``stored = dt (boundary_power + source_power - lost_power)``.
+    """What a step of conduction did; ``stored = dt (boundary_power + source_power + wall_power - lost_power)``.
 
     Attributes
     ----------
@@ -75,6 +77,8 @@ class HeatReport:
         Heat through the surface and from sources [W].
     lost_power : float
         Flux onto grid nodes without mass, which goes nowhere (``literal`` only) [W].
+    wall_power : float
+        Heat from walls that keep a temperature [W].
     """
 
     converged: bool
@@ -84,6 +88,7 @@ class HeatReport:
     boundary_power: float
     source_power: float
     lost_power: float
+    wall_power: float = 0.0
 
 
 def evaluate(field: Field, points: FloatArray, time: float, name: str) -> FloatArray:
@@ -184,8 +189,9 @@ class HeatConduction:
         conductivity: float | FloatArray,
         boundary: HeatBoundary | None = None,
         source: Field = 0.0,
-        area_scale: float = 1.0,
+        area_scale: float | FloatArray = 1.0,
         stencils: Stencils | None = None,
+        walls: Sequence[TemperedWall] = (),
     ) -> HeatReport:
         """Move the temperatures of material points and their gradients on by a time step.
 
@@ -205,10 +211,12 @@ class HeatConduction:
             At the samples; default nothing.
         source : Field
             H at the material points [W/m^3].
-        area_scale : float
+        area_scale : float or (n_samples,) float64
             Factor of the samples' areas, for the hull of a body where the contour outside it is known to be larger.
         stencils : Stencils, optional
             Of the material points, where they are at hand; only for the quadrature ``owner``.
+        walls : sequence of TemperedWall
+            Those that have a temperature keep the nodes inside of them at it.
 
         Raises
         ------
@@ -244,14 +252,19 @@ class HeatConduction:
         # A row of zeros: neither mass nor exchange. What flux puts there is lost.
         is_held = matrix.own > 0.0
         lost = float(load[~is_held].sum())
+        kept = hold_temperatures(walls, stencils.positions, self.grid.spacing, is_held, time)
+        start = None
+        if kept is not None:
+            start = np.zeros_like(T)
+            start[kept.nodes] = kept.constant + kept.slope @ T - T[kept.nodes]
+        b = np.where(is_held, load - matrix.times(T, without_inertia=True), 0.0)
+        size = float(np.sqrt(np.einsum("i,i,i->", T, matrix.own, T)))
         change, iterations, residual, converged = matrix.solve(
-            np.where(is_held, load - matrix.times(T, without_inertia=True), 0.0),
-            float(np.sqrt(np.einsum("i,i,i->", T, matrix.own, T))),
-            self.tolerance,
-            self.max_iterations,
+            b, size, self.tolerance, self.max_iterations, start, kept
         )
         if not converged:
             return HeatReport(False, iterations, residual, 0.0, 0.0, 0.0, 0.0)
+        wall_power = 0.0 if kept is None else float((matrix.times(change) - b).sum())
         T = T + change
         values, gradients = np.empty(len(carriers.points)), np.empty(carriers.points.shape)
         kernels.temperature_to_points(T, stencils.nodes, stencils.weights, stencils.gradients, values, gradients)
@@ -266,6 +279,7 @@ class HeatConduction:
             float((transfer * (ambient - at_samples) + flux).sum()),
             float(sources.sum()),
             lost,
+            wall_power,
         )
 
     def _carriers(self, particles: Particles, samples: SurfaceSamples | None) -> _Carriers:
@@ -286,7 +300,7 @@ class HeatConduction:
 
     @staticmethod
     def _exchange(
-        samples: SurfaceSamples | None, boundary: HeatBoundary | None, time: float, area_scale: float
+        samples: SurfaceSamples | None, boundary: HeatBoundary | None, time: float, area_scale: float | FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Heat transfer [W/K], flux [W] and ambient temperature [K] of each sample."""
         if samples is None:

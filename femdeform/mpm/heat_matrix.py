@@ -6,6 +6,7 @@ import numpy as np
 
 from femdeform.mpm import heat_kernels as kernels
 from femdeform.mpm.grid import Stencils
+from femdeform.mpm.heat_walls import HeldTemperatures
 from femdeform.types import FloatArray, IntArray
 
 
@@ -63,11 +64,18 @@ class ConductionMatrix:
         return out
 
     def solve(
-        self, b: FloatArray, scale: float, tolerance: float, max_iterations: int
+        self,
+        b: FloatArray,
+        scale: float,
+        tolerance: float,
+        max_iterations: int,
+        start: FloatArray | None = None,
+        held: HeldTemperatures | None = None,
     ) -> tuple[FloatArray, int, float, bool]:
         """Solve A x = b by conjugate gradients with the diagonal as preconditioner.
 
-        The solution is then shifted so that the residuals add up to nothing: that is the budget of heat.
+        The solution is then shifted so that the residuals add up to nothing: that is the budget of heat. Where walls
+        hold nodes, what residuals add up to is what enters through the walls.
 
         Parameters
         ----------
@@ -79,6 +87,10 @@ class ConductionMatrix:
             Norm of the residual over that of b; the norm is that of the diagonal's inverse.
         max_iterations : int
             Iterations at most.
+        start : (n_nodes,) float64, optional
+            x to begin with; default zero.
+        held : HeldTemperatures, optional
+            Nodes whose changes follow those of others: x - start is what `HeldTemperatures.spread` makes of free ones.
 
         Returns
         -------
@@ -86,13 +98,20 @@ class ConductionMatrix:
         """
         inverse = np.divide(1.0, self.own, out=np.zeros_like(self.own), where=self.own > 0.0)
         x, r = np.zeros_like(b), b.copy()
+        if start is not None:
+            x = start.copy()
+            r -= self.times(x)
+        if held is not None:
+            inverse[held.nodes] = 0.0
+            r = held.collect(r)
         z = inverse * r
         p = z.copy()
         rz = float(np.einsum("i,i->", r, z))
         first, floor = np.sqrt(rz), 4.0 * np.finfo(float).eps * scale
         iteration = 0
         while np.sqrt(rz) > max(tolerance * first, floor) and iteration < max_iterations:
-            Ap = self.times(p)
+            # Of held nodes p is zero: they follow.
+            Ap = self.times(p) if held is None else held.collect(self.times(held.spread(p)))
             curvature = float(np.einsum("i,i->", p, Ap))
             if not curvature > 0.0:
                 break
@@ -105,6 +124,8 @@ class ConductionMatrix:
             iteration += 1
         reached = np.sqrt(rz)
         converged = bool(reached <= max(tolerance * first, floor))
-        if converged and self._whole > 0.0:
+        if held is not None:
+            x = held.spread(x) if start is None else start + held.spread(x - start)
+        elif converged and self._whole > 0.0:
             x += np.where(self.own > 0.0, float((b - self.times(x)).sum()) / self._whole, 0.0)
         return x, iteration, float(reached / first) if first > 0.0 else 0.0, converged

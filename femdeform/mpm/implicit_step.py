@@ -16,7 +16,7 @@ _PASSES = 20
 
 @dataclass(frozen=True)
 class GridSolution:
-    """What became of a step.
+    """What became of a step; arrays are those of all nodes on every rank.
 
     Attributes
     ----------
@@ -93,16 +93,20 @@ def solve_step(
             break
     velocity = problem.grid_velocity(result.x)
     forces, shift = np.zeros_like(velocity), np.zeros(problem.dim)
-    if problem.contact.any:
+    everywhere = problem.partition.everywhere
+    if problem.is_held():
         gradient = problem.node_forces(result.x)
         held = problem.contact.held.any(axis=1)
         forces[held] = gradient[held]
-        velocity = problem.contact.rub(velocity, gradient, problem.mass)
+        forces = everywhere(forces)
+        velocity = everywhere(problem.contact.rub(velocity, gradient, problem.mass))
     else:
+        forces, velocity = everywhere(forces), everywhere(velocity)
         # Deformations do not see it: the residual's resultant is all that an inexact solve adds to the momentum.
-        total = problem.mass.sum()
-        wanted = problem.mass @ problem.velocity + problem.dt * total * problem.gravity
-        shift = (wanted - problem.mass @ velocity) / total
+        mass = problem.every_mass
+        total = mass.sum()
+        wanted = mass @ problem.every_velocity + problem.dt * total * problem.gravity
+        shift = (wanted - mass @ velocity) / total
         velocity = velocity + shift
     return GridSolution(
         velocity,

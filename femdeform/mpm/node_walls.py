@@ -46,6 +46,10 @@ class NodeWall:
     kind: Kind
     friction: float = 0.0
 
+    def take(self, nodes: IntArray) -> NodeWall:
+        """The same wall at the nodes of the given numbers."""
+        return NodeWall(self.phi[nodes], self.normals[nodes], self.velocity[nodes], self.kind, self.friction)
+
 
 @njit
 def _make_frames(

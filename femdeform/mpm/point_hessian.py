@@ -44,7 +44,7 @@ class PointHessian:
     quadrature : Quadrature
     tangents : Tangents
     weights : (n_nodes,) float64
-        m_i / h^2 [N/m].
+        m_i / h^2 [N/m], of ghosts too.
     frames : (n_nodes, dim, dim) float64
         Q, see `WallContact`.
     free : (n_nodes, dim) bool
@@ -52,6 +52,7 @@ class PointHessian:
     positions : (n_nodes, dim) float64
         Grid nodes [m].
     partition : Partition
+        Ranks add up what their points give to the nodes they share.
     owner : object
         Has `node_pattern()` and `matrix_values(n)`, which keep the sparsity and the buffer from step to step.
     """
@@ -76,6 +77,8 @@ class PointHessian:
         self._is_turned, self._is_held = bool(self._turned.any()), not bool(free.all())
         self._dims = (0,) * self.dim
         self._stencil = (0,) * quadrature.nodes.shape[1]
+        # What is added up over ranks has the mass of a node once.
+        self._own_weights = np.where(np.arange(weights.size) < partition.n_owned, weights, 0.0)
 
     @property
     def dim(self) -> int:
@@ -112,7 +115,7 @@ class PointHessian:
                 t.matrices,
                 t.alpha,
                 t.beta,
-                self.weights,
+                self._own_weights,
                 pattern.relative,
                 pattern.neighbours,
                 pattern.row_offsets,
@@ -123,7 +126,7 @@ class PointHessian:
                 self._stencil,
                 self._values,
             )
-            point_kernels.mirror(pattern.row_offsets, pattern.columns, self._dims, self._values)
+            point_kernels.mirror(pattern.row_offsets, pattern.neighbours, pattern.ranks, self._dims, self._values)
         return self._values
 
     def diagonal_blocks(self) -> FloatArray:
@@ -139,11 +142,12 @@ class PointHessian:
                 t.matrices,
                 t.alpha,
                 t.beta,
-                self.weights,
+                self._own_weights,
                 self._dims,
                 self._stencil,
                 blocks,
             )
+            self.partition.accumulate(blocks)
             if self._is_turned:
                 blocks = np.swapaxes(self.frames, 1, 2) @ blocks @ self.frames
             own = np.einsum("icc->ic", blocks).copy()
@@ -165,6 +169,7 @@ class PointHessian:
         point_kernels.stress_changes(D, t.place, t.matrices, t.alpha, t.beta, self._dims, P)
         out = np.empty_like(u)
         point_kernels.forces(P, q.gradients, q.offsets, q.entries, self._dims, self._stencil, out)
+        self.partition.accumulate(out)
         out += self.weights[:, None] * u
         if self._is_turned:
             out = np.einsum("iba,ib->ia", self.frames, out)

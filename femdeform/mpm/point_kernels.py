@@ -205,7 +205,7 @@ def assemble(
     relative : (n_stencil, n_stencil) int
         Number, among the nodes around one, of the place of the second node of a stencil as seen from the first.
     neighbours : (n_nodes, width^dim) int32
-        Nodes around each, -1 where there is none; see `find_neighbours`.
+        Nodes around each, -1 where there is none; see `find_neighbours`. The first half of them come before it.
     row_offsets : (n_nodes + 1,)
         First block of each node's row.
     frames : (n_nodes, dim, dim)
@@ -245,7 +245,7 @@ def assemble(
                 j = neighbours[i, r]
                 if j < 0:
                     continue
-                if j < i:
+                if r < n_around // 2:
                     at += d
                     continue
                 if turned[i] or turned[j]:
@@ -271,25 +271,28 @@ def assemble(
 
 
 @njit(parallel=True)
-def mirror(row_offsets: Any, columns: Any, dim: Any, values: Any) -> None:
-    """Blocks below the diagonal of a symmetric CSR matrix from those above it; see `assemble`."""
+def mirror(row_offsets: Any, neighbours: Any, ranks: Any, dim: Any, values: Any) -> None:
+    """Blocks below the diagonal of a symmetric CSR matrix from those above it; see `assemble`.
+
+    Parameters
+    ----------
+    row_offsets, neighbours, dim, values
+        As for `assemble`.
+    ranks : (n_nodes, width^dim) uint8
+        Number of each of the `neighbours` among those of its node that exist.
+    """
     d = len(dim)
+    n_around = neighbours.shape[1]
     for i in prange(row_offsets.shape[0] - 1):
         n_row = row_offsets[i + 1] - row_offsets[i]
-        for b in range(n_row):
-            j = columns[row_offsets[i] + b]
-            if j >= i:
-                break
-            low, high = row_offsets[j], row_offsets[j + 1]
-            while low < high:
-                middle = (low + high) // 2
-                if columns[middle] < i:
-                    low = middle + 1
-                else:
-                    high = middle
+        for r in range(n_around // 2):
+            j = neighbours[i, r]
+            if j < 0:
+                continue
+            # Seen from there, this node lies on the opposite side.
             n_other = row_offsets[j + 1] - row_offsets[j]
-            there = d * d * row_offsets[j] + d * (low - row_offsets[j])
-            here = d * d * row_offsets[i] + d * b
+            there = d * d * row_offsets[j] + d * ranks[j, n_around - 1 - r]
+            here = d * d * row_offsets[i] + d * ranks[i, r]
             for c in range(d):
                 for m in range(d):
                     values[here + c * d * n_row + m] = values[there + m * d * n_other + c]

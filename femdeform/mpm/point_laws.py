@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from femdeform.jit import njit, prange
-from femdeform.materials.dispatch import energy_density, pk1, tangent
+from femdeform.materials.dispatch import combined, energy_density, pk1, tangent
 
 # ------------------------------------------------------------------------------------------------ liquids
 
@@ -96,47 +96,87 @@ def _total_3d(D: Any, base: Any, q: Any) -> Any:
 
 
 @njit(parallel=True)
-def solid_energies_2d(D: Any, base: Any, rows: Any, volume: Any, law: Any, out: Any) -> None:
-    """``volume Psi(base + D)`` [J] of the points `rows` into `out` (n_points,), by any law of `femdeform.materials`."""
+def solid_energies_2d(
+    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, out: Any
+) -> None:
+    """``volume Psi(base + D)`` [J] of the points `rows`, by any law of `femdeform.materials`.
+
+    Parameters
+    ----------
+    D, base : (n_points, dim^2)
+        [-].
+    rows : (n,) int64
+        Points of the solid.
+    volume : (n_points,)
+        At rest [m^3].
+    shear, dilation : NamedTuple
+        The law with the Lame parameters 1, 0 and with 0, 1.
+    moduli : (n_points, 2)
+        mu and lmbda [Pa].
+    out : (n_points,)
+        Receives the energies of these points.
+    """
     for t in prange(rows.shape[0]):
         q = rows[t]
+        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
         out[q] = volume[q] * energy_density(_total_2d(D, base, q), law)
 
 
 @njit(parallel=True)
-def solid_energies_3d(D: Any, base: Any, rows: Any, volume: Any, law: Any, out: Any) -> None:
+def solid_energies_3d(
+    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, out: Any
+) -> None:
     """As `solid_energies_2d`."""
     for t in prange(rows.shape[0]):
         q = rows[t]
+        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
         out[q] = volume[q] * energy_density(_total_3d(D, base, q), law)
 
 
 @njit(parallel=True)
-def solid_stresses_2d(D: Any, base: Any, rows: Any, volume: Any, law: Any, out: Any) -> None:
+def solid_stresses_2d(
+    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, out: Any
+) -> None:
     """``volume dPsi/dF`` [J] into rows of `out` (n_points, 4)."""
     for t in prange(rows.shape[0]):
         q = rows[t]
+        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
         P = pk1(_total_2d(D, base, q), law)
         for c in range(4):
             out[q, c] = volume[q] * P[c]
 
 
 @njit(parallel=True)
-def solid_stresses_3d(D: Any, base: Any, rows: Any, volume: Any, law: Any, out: Any) -> None:
+def solid_stresses_3d(
+    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, out: Any
+) -> None:
     """``volume dPsi/dF`` [J] into rows of `out` (n_points, 9)."""
     for t in prange(rows.shape[0]):
         q = rows[t]
+        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
         P = pk1(_total_3d(D, base, q), law)
         for c in range(9):
             out[q, c] = volume[q] * P[c]
 
 
 @njit(parallel=True)
-def solid_tangents_2d(D: Any, base: Any, rows: Any, volume: Any, law: Any, project: Any, place: Any, out: Any) -> None:
+def solid_tangents_2d(
+    D: Any,
+    base: Any,
+    rows: Any,
+    volume: Any,
+    shear: Any,
+    dilation: Any,
+    moduli: Any,
+    project: Any,
+    place: Any,
+    out: Any,
+) -> None:
     """``volume d2Psi/dF2`` [J] into `out[place[q]]`, (4, 4) each, the closest semi-definite one if `project`."""
     for t in prange(rows.shape[0]):
         q = rows[t]
         H = out[place[q]]
+        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
         tangent(_total_2d(D, base, q), law, project, H)
         for i in range(4):
             for j in range(4):
@@ -144,11 +184,23 @@ def solid_tangents_2d(D: Any, base: Any, rows: Any, volume: Any, law: Any, proje
 
 
 @njit(parallel=True)
-def solid_tangents_3d(D: Any, base: Any, rows: Any, volume: Any, law: Any, project: Any, place: Any, out: Any) -> None:
+def solid_tangents_3d(
+    D: Any,
+    base: Any,
+    rows: Any,
+    volume: Any,
+    shear: Any,
+    dilation: Any,
+    moduli: Any,
+    project: Any,
+    place: Any,
+    out: Any,
+) -> None:
     """``volume d2Psi/dF2`` [J] into `out[place[q]]`, (9, 9) each, the closest semi-definite one if `project`."""
     for t in prange(rows.shape[0]):
         q = rows[t]
         H = out[place[q]]
+        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
         tangent(_total_3d(D, base, q), law, project, H)
         for i in range(9):
             for j in range(9):

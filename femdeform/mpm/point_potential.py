@@ -26,6 +26,7 @@ from femdeform.fem.assembly import roundoff
 from femdeform.fem.incremental_potential import State
 from femdeform.mpm import point_kernels
 from femdeform.mpm.grid import Stencils
+from femdeform.mpm.node_shares import share_out
 from femdeform.mpm.node_walls import NodeWall, WallContact
 from femdeform.mpm.particles import Particles
 from femdeform.mpm.point_hessian import PointHessian, Tangents
@@ -60,6 +61,9 @@ class PointPotential:
         [m/s^2].
     symmetric_surface : bool
         Surface energy of the symmetric part of F^: drops of liquid keep their angular momentum.
+    comm : mpi4py communicator or None
+        Ranks that share the nodes and the points of a step out among them (`mpm.node_shares`). All have the same
+        points, samples and masses; arrays over nodes below are those of this rank, ghosts last.
 
     Attributes
     ----------
@@ -67,6 +71,10 @@ class PointPotential:
         Grid nodes before the step [m].
     mass, velocity : (n_nodes,), (n_nodes, dim) float64
         Of the nodes before the step [kg], [m/s].
+    every_mass, every_velocity
+        The same of the nodes of all ranks.
+    partition : Partition
+        Of the nodes.
     contact : WallContact
         What walls hold; `update_contact` changes it between solves.
     free : (n_nodes, dim) bool
@@ -82,7 +90,7 @@ class PointPotential:
 
     Limitations
     -----------
-    One rank, quadratic splines. Backward Euler keeps linear momentum; angular momentum only where the stress of every
+    Quadratic splines. Backward Euler keeps linear momentum; angular momentum only where the stress of every
     point is symmetric: liquids with `symmetric_surface`, not solids. Surfaces of negative coefficient have no lower
     bound of their own.
     """
@@ -90,7 +98,10 @@ class PointPotential:
     has_barriers = False
     obstacles_push = False
 
-    def __init__(self, gravity: Sequence[float] | FloatArray, symmetric_surface: bool = False) -> None:
+    def __init__(
+        self, gravity: Sequence[float] | FloatArray, symmetric_surface: bool = False, comm: Any | None = None
+    ) -> None:
+        self.comm = comm
         self.gravity = np.array(gravity, dtype=np.float64)
         self.dim = int(self.gravity.size)
         self.symmetric_surface = symmetric_surface
@@ -99,6 +110,7 @@ class PointPotential:
         self.terms: list[PointTerm] = []
         self._dims = (0,) * self.dim
         self._pattern: NodePattern | None = None
+        self._pattern_fits = False
         self._buffer = np.empty(0)
 
     def begin_step(
@@ -145,14 +157,29 @@ class PointPotential:
             raise ValueError("stencils of the material points and of all samples are needed")
         if not (mass > 0.0).all():
             raise ValueError("an active node has no mass")
+        share = share_out(stencils, points.n, n_samples, self.comm)
+        self.partition: Partition = share.partition
+        self.every_mass, self.every_velocity = mass, velocity
+        # Every rank has every kind of points, if only none of them: sums over kinds are sums over ranks too.
+        liquid, solids = rows_of(points, materials)
+        has_liquid, has_samples = liquid.size > 0, n_samples > 0
+        if self.comm is not None:
+            mass, velocity = self.partition.restrict(mass), self.partition.restrict(velocity)
+            stencils, points = share.stencils, points.take(share.particles)
+            materials = materials.take(share.particles)
+            tension = None if tension is None else tension.take(share.samples)
+            walls = [wall.take(self.partition.nodes) for wall in walls]
+            liquid = np.flatnonzero(np.isin(share.particles, liquid))
+            solids = {body: np.flatnonzero(np.isin(share.particles, rows)) for body, rows in solids.items()}
+            n_samples = share.samples.size
+            n = points.n + n_samples
         self.dt, self.stencils, self._particles = dt, stencils, points
-        self.points, self.partition = stencils.positions, Partition.serial(stencils.n_nodes)
+        self.points, self._pattern_fits = stencils.positions, False
         self.mass, self.velocity = np.ascontiguousarray(mass), np.ascontiguousarray(velocity)
         self._stencil = (0,) * stencils.weights.shape[1]
-        self._drift = dt * velocity + dt**2 * self.gravity
-        self._measure = np.sqrt(self.mass.mean() / self.mass)[:, None]
+        self._drift = dt * self.velocity + dt**2 * self.gravity
+        self._measure = np.sqrt(self.every_mass.mean() / self.mass)[:, None]
 
-        liquid, solids = rows_of(points, materials)
         every_solid = np.sort(np.concatenate([np.empty(0, np.int64), *solids.values()]))
         self.quadrature = Quadrature.of(stencils, n, points.F, every_solid)
         place = np.full(n, -1, dtype=np.int64)
@@ -164,12 +191,12 @@ class PointPotential:
         self._symmetric = np.zeros(n, dtype=np.uint8)
         self._symmetric[points.n :] = self.symmetric_surface
         self.terms = []
-        if liquid.size:
+        if has_liquid:
             self.terms.append(LiquidTerm(points, liquid, materials, dt, self._tangents.alpha, self._tangents.beta))
-        volume = points.volume if materials.stiffness is None else materials.stiffness * points.volume
         for body, rows in solids.items():
-            self.terms.append(SolidTerm(materials.solids[body], rows, self.quadrature.base, volume, place))
-        if tension is not None and n_samples:
+            law, base = materials.solids[body], self.quadrature.base
+            self.terms.append(SolidTerm(law, rows, base, points.volume, place, materials.moduli))
+        if tension is not None and has_samples:
             self.terms.append(SurfaceTerm(tension, points.n, self.symmetric_surface, place))
         self._D, self._P, self._S = np.zeros((3, n, self.dim**2))
         self._energies, self._lengths = np.zeros(n), np.empty(n)
@@ -230,14 +257,19 @@ class PointPotential:
         u = self.displacement(x)
         smallest = tolerance * self.force_scale / self._measure[:, 0]
         gap = 1e-10 * self.stencils.spacing
-        if not self.contact.update(u, self._gradient(u), smallest, gap):
+        changed = self.contact.update(u, self._gradient(u), smallest, gap)
+        if not self.partition.max(float(changed)):
             return False
         self._start = u
         self._hold()
         return True
 
+    def is_held(self) -> bool:
+        """Whether a wall holds any node, on whatever rank."""
+        return bool(self.partition.max(float(self.contact.any)))
+
     def node_positions(self, x: FloatArray) -> FloatArray:
-        """See `StepProblem`: material points, (n, dim) [m]."""
+        """See `StepProblem`: material points, on several ranks those integrated here, (n, dim) [m]."""
         motion = self.stencils.to_points(self.displacement(x))
         return np.asarray(self._particles.x + motion[: self._particles.n])
 
@@ -247,6 +279,7 @@ class PointPotential:
         motion[: self._particles.n, : self.dim] = positions - self._particles.x
         motion[: self._particles.n, self.dim] = 1.0
         total = self.stencils.to_nodes(motion)
+        self.partition.accumulate(total)
         weight = total[:, self.dim :]
         u = np.divide(total[:, : self.dim], weight, out=np.zeros_like(self.points), where=weight > 0.0)
         return np.where(self.free, self.unknowns(u), self.contact.shift + self.stencils.spacing)
@@ -258,7 +291,7 @@ class PointPotential:
     def refusal(self, x: FloatArray) -> str:
         """See `StepProblem`: points must not cross more than a cell."""
         motion = self.node_positions(x) - self._particles.x
-        longest = float(np.sqrt(np.max(np.einsum("ic,ic->i", motion, motion), initial=0.0)))
+        longest = self.partition.max(float(np.sqrt(np.max(np.einsum("ic,ic->i", motion, motion), initial=0.0))))
         if longest <= _CELLS * self.stencils.spacing:
             return ""
         return f"material points moved by {longest / self.stencils.spacing:.3g} cells of the grid in one step"
@@ -267,12 +300,12 @@ class PointPotential:
         """What may have kept a solve from converging, to be added to its reason: points at the bound of `max_step`.
 
         Nodes that only samples of a surface reach have little mass: in a step longer than capillary waves on the grid
-        allow, about ``sqrt(rho dx^3 / (2 pi k))``, they move so far that their samples shrink to nothing.
+        allow (`mpm.time_step.capillary_limit`), they move so far that their samples shrink to nothing.
         """
         D = self._deform(self.displacement(x), self._D)
         n = self._particles.n
         for what, rows in (("samples of the surface", slice(n, None)), ("material points", slice(0, n))):
-            smallest = float(self._volume_ratios(D)[rows].min(initial=np.inf))
+            smallest = self.partition.min(float(self._volume_ratios(D)[rows].min(initial=np.inf)))
             if smallest < 2.0 * SMALLEST_J:
                 return f"; {what} shrink to {smallest:.2g} of their volume: take a smaller time step"
         return ""
@@ -312,12 +345,12 @@ class PointPotential:
         D = self._deform(u, self._D)
         for term in self.terms:
             term.energies(D, self._energies)
-        inertia = self._inertia(u)
-        self.value_magnitude = float(np.sum(np.abs(self._energies))) + inertia
-        return float(np.sum(self._energies)) + inertia
+        inertia, total = self._inertia(u), self.partition.sum
+        self.value_magnitude = total(float(np.sum(np.abs(self._energies)))) + inertia
+        return total(float(np.sum(self._energies))) + inertia
 
     def energies(self, x: FloatArray) -> Mapping[str, float]:
-        """Energy of each kind of points [J]: ``liquid`` (with what viscosity takes up), ``solid``, ``surface``."""
+        """Energy of each kind of points here [J]: ``liquid`` (with what viscosity takes up), ``solid``, ``surface``."""
         D = self._deform(self.displacement(x), self._D)
         total: dict[str, float] = {}
         for term in self.terms:
@@ -329,6 +362,7 @@ class PointPotential:
     def _forces(self, P: FloatArray) -> FloatArray:
         q, out = self.quadrature, np.empty_like(self.points)
         point_kernels.forces(P, q.gradients, q.offsets, q.entries, self._dims, self._stencil, out)
+        self.partition.accumulate(out)
         return out
 
     def _term_gradient(self, term: PointTerm, u: FloatArray) -> FloatArray:
@@ -384,9 +418,10 @@ class PointPotential:
         return self.hessian(x, project=True, free=np.ones_like(self.free)).times(step)
 
     def node_pattern(self) -> NodePattern:
-        """Sparsity of the Hessian; the same object as long as the active nodes are the same."""
-        if self._pattern is None or not self._pattern.is_of(self.stencils):
-            self._pattern = NodePattern(self.stencils)
+        """Sparsity of the Hessian; the same object as long as the active nodes are the same, and where they are."""
+        if self._pattern is None or not (self._pattern_fits or self._pattern.is_of(self.stencils, self.partition)):
+            self._pattern = NodePattern(self.stencils, self.partition)
+        self._pattern_fits = True
         return self._pattern
 
     def matrix_values(self, n: int) -> FloatArray:
@@ -403,7 +438,7 @@ class PointPotential:
 
     def velocity_error(self, residual_norm: float) -> float:
         """Bound of what a solve can still change of the velocities, their root mean square by mass [m/s]."""
-        return self.dt * residual_norm / float(self.mass.mean() * np.sqrt(len(self.mass)))
+        return self.dt * residual_norm / float(self.every_mass.mean() * np.sqrt(len(self.every_mass)))
 
     def settle_force_scale(self, x: FloatArray) -> None:
         """Take the forces at the first iterate as R0 if the step begins with none but rounding."""
@@ -414,11 +449,12 @@ class PointPotential:
         """Residual that rounding alone can leave [N]."""
         if self._sizes is None:
             return 0.0
-        return float(np.sqrt(roundoff((self._measure * self._sizes).ravel(), x)))
+        own = slice(self.partition.n_owned)
+        return float(np.sqrt(self.partition.sum(roundoff((self._measure * self._sizes)[own].ravel(), x[own]))))
 
     def max_step(self, x: FloatArray, step: FloatArray, drift: float = 0.0) -> float:
         """See `StepProblem`: no point may shrink to a tenth of its volume along the way."""
         D = self._deform(self.displacement(x), self._D)
         S = self._deform(np.einsum("iab,ib->ia", self.frames, step), self._S)
         point_kernels.longest_steps(D, S, self.quadrature.base, self._symmetric, SMALLEST_J, self._dims, self._lengths)
-        return min(1.0, _CAUTION * float(self._lengths.min(initial=np.inf)))
+        return min(1.0, _CAUTION * self.partition.min(float(self._lengths.min(initial=np.inf))))

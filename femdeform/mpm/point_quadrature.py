@@ -11,6 +11,7 @@ from femdeform.counting_sort import sort_by_number
 from femdeform.fem.assembly import expand_to_dofs
 from femdeform.mpm import point_kernels
 from femdeform.mpm.grid import Stencils
+from femdeform.parallel import Partition
 from femdeform.types import FloatArray, IntArray
 
 
@@ -111,21 +112,25 @@ class NodePattern:
     Parameters
     ----------
     stencils : Stencils
+    partition : Partition
+        Of its nodes.
 
     Attributes
     ----------
     neighbours : (n_nodes, 5^dim) int32
         Nodes around each in lexicographic order of their places, -1 where there is none.
+    ranks : (n_nodes, 5^dim) uint8
+        Number of each of them among those of its node that exist.
     row_offsets, columns
-        CSR structure over nodes.
+        CSR structure over nodes; columns come in the order of the places.
     dof_row_offsets, dof_columns
         The same over degrees of freedom.
     relative : (n_stencil, n_stencil) int64
         See `relative_places`.
     """
 
-    def __init__(self, stencils: Stencils) -> None:
-        self.positions = stencils.positions
+    def __init__(self, stencils: Stencils, partition: Partition) -> None:
+        self.positions, self._index = stencils.positions, partition.global_index
         n, dim = self.positions.shape
         width = 2 * stencils.degree + 1
         index = np.rint(self.positions / stencils.spacing).astype(np.int64)
@@ -133,13 +138,23 @@ class NodePattern:
         extent = index.max(axis=0) + 1 + width
         strides = np.append(np.cumprod(extent[::-1])[-2::-1], 1).astype(np.int64)
         self.neighbours = np.empty((n, width**dim), dtype=np.int32)
-        point_kernels.find_neighbours(index @ strides, strides, width, self.neighbours)
+        keys = index @ strides
+        if np.all(keys[1:] > keys[:-1]):
+            point_kernels.find_neighbours(keys, strides, width, self.neighbours)
+        else:  # ghosts follow the nodes of a rank
+            order = np.argsort(keys).astype(np.int32)
+            found = np.empty_like(self.neighbours)
+            point_kernels.find_neighbours(keys[order], strides, width, found)
+            self.neighbours[order] = np.where(found >= 0, order[found], -1)
         there = self.neighbours >= 0
+        self.ranks = (np.cumsum(there, axis=1) - there).astype(np.uint8)
         self.row_offsets = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int64)
         self.columns = self.neighbours[there]
         self.dof_row_offsets, self.dof_columns = expand_to_dofs(self.row_offsets, self.columns, dim)
         self.relative = relative_places(stencils.degree, dim)
 
-    def is_of(self, stencils: Stencils) -> bool:
-        """Whether some stencils have the same active nodes."""
-        return np.array_equal(self.positions, stencils.positions)
+    def is_of(self, stencils: Stencils, partition: Partition) -> bool:
+        """Whether some stencils have the same active nodes, in the same hands on all ranks."""
+        same = np.array_equal(self.positions, stencils.positions)
+        same = same and np.array_equal(self._index, partition.global_index)
+        return bool(partition.min(float(same)))

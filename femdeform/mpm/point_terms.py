@@ -30,14 +30,19 @@ class PointMaterials:
     bulk_modulus, viscosity : (n,) float64
         Of liquid points, pressure ``-bulk_modulus (J - 1)`` [Pa] and ``viscosity (grad v + grad v^T)`` [Pa s]; others
         are not read.
-    stiffness : (n,) float64, optional
-        Factor of the energy of solid points, where it depends on temperature [-].
+    moduli : (n, 2) float64, optional
+        mu and lmbda of solid points [Pa], in place of those of their laws; rows that are not finite keep the latter.
     """
 
     solids: Mapping[int, Law]
     bulk_modulus: FloatArray
     viscosity: FloatArray
-    stiffness: FloatArray | None = None
+    moduli: FloatArray | None = None
+
+    def take(self, rows: IntArray) -> PointMaterials:
+        """Those of the points of the given numbers."""
+        moduli = None if self.moduli is None else self.moduli[rows]
+        return PointMaterials(self.solids, self.bulk_modulus[rows], self.viscosity[rows], moduli)
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,10 @@ class SurfaceTension:
 
     samples: SurfaceSamples
     coefficient: FloatArray
+
+    def take(self, rows: IntArray) -> SurfaceTension:
+        """The samples of the given numbers."""
+        return SurfaceTension(self.samples.take(rows), self.coefficient[rows])
 
 
 class PointTerm(Protocol):
@@ -126,32 +135,48 @@ class SolidTerm:
     base : (n_points, dim^2) float64
         F^n [-].
     volume : (n_points,) float64
-        V0, times a factor of the stiffness [m^3].
+        V0 [m^3].
     place : (n_points,) int64
         Row of each point among the tangents.
+    moduli : (n_points, 2) float64, optional
+        See `PointMaterials`.
     """
 
     name = "solid"
 
-    def __init__(self, law: Law, rows: IntArray, base: FloatArray, volume: FloatArray, place: IntArray) -> None:
+    def __init__(
+        self,
+        law: Law,
+        rows: IntArray,
+        base: FloatArray,
+        volume: FloatArray,
+        place: IntArray,
+        moduli: FloatArray | None = None,
+    ) -> None:
         self.law, self.rows = law, rows
         self._base, self._volume, self._place = base, volume, place
         planar = base.shape[1] == 4
+        dim = 2 if planar else 3
+        self._laws = (type(law).from_lame(1.0, 0.0, dim), type(law).from_lame(0.0, 1.0, dim))
+        self._moduli = np.tile(np.array([law.mu, law.lmbda]), (len(base), 1))
+        if moduli is not None:
+            own = np.isfinite(moduli).all(axis=1)
+            self._moduli[: len(moduli)][own] = moduli[own]
         self._energies = point_laws.solid_energies_2d if planar else point_laws.solid_energies_3d
         self._stresses = point_laws.solid_stresses_2d if planar else point_laws.solid_stresses_3d
         self._tangents = point_laws.solid_tangents_2d if planar else point_laws.solid_tangents_3d
 
     def energies(self, D: FloatArray, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._energies(D, self._base, self.rows, self._volume, self.law, out)
+        self._energies(D, self._base, self.rows, self._volume, *self._laws, self._moduli, out)
 
     def stresses(self, D: FloatArray, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._stresses(D, self._base, self.rows, self._volume, self.law, out)
+        self._stresses(D, self._base, self.rows, self._volume, *self._laws, self._moduli, out)
 
     def tangents(self, D: FloatArray, project: bool, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._tangents(D, self._base, self.rows, self._volume, self.law, project, self._place, out)
+        self._tangents(D, self._base, self.rows, self._volume, *self._laws, self._moduli, project, self._place, out)
 
 
 class SurfaceTerm:

@@ -1,8 +1,8 @@
 """Rigid walls that act on the velocities of grid nodes in an explicit step: stick, slip, separate, rub.
 
-A node inside a wall with normal n, relative to the velocity of the wall: stick, ``v = 0``; slip, ``v -= (v.n) n``;
-separate, the same where ``v.n < 0``. Coulomb friction follows, with the impulse ``j = max(0, -v.n)`` that was taken:
-``v_t *= max(0, 1 - mu j / |v_t|)``.
+A node belongs to a wall if it lies inside of it, or on its surface but for rounding. With normal n, relative to the
+velocity of the wall: stick, ``v = 0``; slip, ``v -= (v.n) n``; separate, the same where ``v.n < 0``. Coulomb friction
+follows, with the impulse ``j = max(0, -v.n)`` that was taken: ``v_t *= max(0, 1 - mu j / |v_t|)``.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from femdeform.mpm.block_kernels import SIDE
 from femdeform.types import FloatArray
 
 Kind = Literal["stick", "slip", "separate"]
+# Distance of a node from a wall, over that of nodes, that counts as none: walls through nodes hold them.
+_TOUCHING = 1e-6
 # Sweeps over the walls of a node that several of them hold.
 _SWEEPS = 20
 
@@ -43,20 +45,33 @@ class RigidWall:
         [m/s].
     friction : float
         Coulomb's coefficient [-].
+    temperature : float, optional
+        What it keeps bodies at that touch it [K]; default: no heat goes through it.
     """
 
     shape: SignedDistance
     kind: Kind
     velocity: FloatArray
     friction: float = 0.0
+    temperature: float | None = None
 
     def distance(self, positions: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
         """Signed distance (n,) [m] and unit normal (n, dim) at positions (n, dim) and a time."""
         distance, normals = self.shape.distance(positions - self.velocity * time)
         return distance, np.array(normals)
 
+    def node_distance(self, nodes: FloatArray, time: float, spacing: float) -> tuple[FloatArray, FloatArray]:
+        """As `distance` of grid nodes at a `spacing` [m] from one another; 0 at those within a millionth of it.
 
-def constrain(walls: Sequence[RigidWall], positions: FloatArray, velocity: FloatArray, time: float) -> FloatArray:
+        Whether a wall that is meant to pass through nodes holds them is then no matter of rounding: it does.
+        """
+        distance, normals = self.distance(nodes, time)
+        return np.where(np.abs(distance) <= _TOUCHING * spacing, 0.0, distance), normals
+
+
+def constrain(
+    walls: Sequence[RigidWall], positions: FloatArray, velocity: FloatArray, time: float, spacing: float
+) -> FloatArray:
     """Velocities (n, dim) [m/s] of nodes after the walls.
 
     Where several walls hold a node, those that slip or separate take turns until all are satisfied, friction acts with
@@ -70,11 +85,13 @@ def constrain(walls: Sequence[RigidWall], positions: FloatArray, velocity: Float
         Of the nodes [m], [m/s]; not changed.
     time : float
         At which the walls are where they are [s].
+    spacing : float
+        Of the nodes [m].
     """
     out = np.array(velocity)
     found = []
     for wall in walls:
-        distance, normals = wall.distance(positions, time)
+        distance, normals = wall.node_distance(positions, time, spacing)
         rows = np.flatnonzero(distance <= 0.0)
         found.append((wall, rows, normals[rows]))
     sliding = [each for each in found if each[0].kind != "stick" and each[1].size]
@@ -113,7 +130,7 @@ def constrain_blocks(walls: Sequence[RigidWall], grid: BlockGrid, time: float) -
         return
     half = 0.5 * (SIDE - 1) * grid.spacing
     centers = grid.node_corners * grid.spacing + half
-    reach = half * np.sqrt(grid.dim) * (1.0 + 1e-9)
+    reach = half * np.sqrt(grid.dim) + 2.0 * _TOUCHING * grid.spacing
     is_near = np.zeros(len(centers), dtype=bool)
     for wall in walls:
         is_near |= wall.distance(centers, time)[0] <= reach
@@ -124,4 +141,4 @@ def constrain_blocks(walls: Sequence[RigidWall], grid: BlockGrid, time: float) -
     block, node = np.nonzero(grid.mass[near] > 0.0)
     positions = grid.node_positions(near)[block, node]
     before = grid.velocity[near[block], node].astype(np.float64)
-    grid.velocity[near[block], node] = constrain(walls, positions, before, time)
+    grid.velocity[near[block], node] = constrain(walls, positions, before, time, grid.spacing)

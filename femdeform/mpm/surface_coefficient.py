@@ -152,6 +152,38 @@ def surface_coefficients(
     return SurfaceCoefficients(k, on_wall)
 
 
+def largest_coefficient(particles: Particles, tensions: Sequence[SurfaceTension | None], reach: float) -> float:
+    """A bound of the tensions |k| [N/m] that samples of a surface can have, without the samples.
+
+    Parameters
+    ----------
+    particles : Particles
+        What may own samples.
+    tensions : sequence of SurfaceTension or None
+        One for each body.
+    reach : float
+        How far samples are from their owners at most [m], for temperatures with a gradient.
+
+    Notes
+    -----
+    Points inside of a body count like those at its surface, and every region and wall as if samples were there.
+    """
+    largest = 0.0
+    for number, tension in enumerate(tensions):
+        if tension is None:
+            continue
+        mine = np.flatnonzero((particles.body == number) & ((particles.phase == LIQUID) | tension.on_solid))
+        if mine.size == 0:
+            continue
+        slope = particles.temperature_gradient[mine]
+        margin = reach * np.sqrt(np.einsum("pa,pa->p", slope, slope))
+        low, high = particles.temperature[mine] - margin, particles.temperature[mine] + margin
+        functions = [tension.liquid_gas, *(function for _, function in tension.regions)]
+        functions += [] if tension.solid_liquid is None else [tension.solid_liquid]
+        largest = max([largest, *(float(each.largest(low, high).max()) for each in functions)])
+    return largest
+
+
 def _require(holds: Any, name: str, values: FloatArray, why: str) -> None:
     """Raise unless a condition holds for all values."""
     if not np.all(holds):

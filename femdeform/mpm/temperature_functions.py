@@ -18,6 +18,9 @@ class TemperatureFunction(Protocol):
     def __call__(self, temperature: FloatArray) -> FloatArray:
         """Values (n,) at temperatures (n,) [K]."""
 
+    def largest(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """Largest absolute values (n,) between temperatures `low` and `high` (n,) [K]."""
+
 
 @dataclass(frozen=True)
 class Constant:
@@ -33,6 +36,10 @@ class Constant:
     def __call__(self, temperature: FloatArray) -> FloatArray:
         """Values (n,) at temperatures (n,) [K]."""
         return np.full(temperature.shape, self.value)
+
+    def largest(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """See `TemperatureFunction`."""
+        return np.full(low.shape, abs(self.value))
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,10 @@ class Linear:
         """Values (n,) at temperatures (n,) [K]."""
         return np.asarray(np.clip(self.value + self.slope * (temperature - self.reference), self.lowest, self.highest))
 
+    def largest(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """See `TemperatureFunction`."""
+        return np.asarray(np.maximum(np.abs(self(low)), np.abs(self(high))))
+
 
 @dataclass(frozen=True)
 class Table:
@@ -90,6 +101,13 @@ class Table:
     def __call__(self, temperature: FloatArray) -> FloatArray:
         """Values (n,) at temperatures (n,) [K]."""
         return np.asarray(np.interp(temperature, self.temperatures, self.values))
+
+    def largest(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """See `TemperatureFunction`."""
+        out = np.maximum(np.abs(self(low)), np.abs(self(high)))
+        for temperature, value in zip(self.temperatures, self.values, strict=True):
+            out = np.where((low < temperature) & (temperature < high), np.maximum(out, abs(value)), out)
+        return np.asarray(out)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """How long a step of material points may be.
 
 No node crosses more than a part of a cell, ``dt <= CFL dx / max |v_i|``. Explicit steps resolve sound, viscosity and
-capillary waves besides: ``dt <= a dx / c``, ``b rho dx^2 / mu``, ``0.5 sqrt(rho dx^3 / (2 pi k))``.
+capillary waves besides: ``dt <= a dx / c``, ``b rho dx^2 / mu``, ``0.5 sqrt(rho dx^3 / (2 pi k))``, half of the period
+of a capillary wave as long as a cell. The last of these binds implicit steps too.
 """
 
 from __future__ import annotations
@@ -96,10 +97,20 @@ def explicit_limit(
 
 
 def capillary_limit(spacing: float, density: float, surface_tension: float) -> float:
-    """Longest step [s] with surface tension [N/m], also of an implicit step.
+    """Longest step [s] with surface tension [N/m], also of an implicit step: half of ``sqrt(rho dx^3 / (2 pi k))``.
 
-    Half a period of the shortest capillary wave. Beyond it the least energy of an implicit step lies where the light
-    nodes outside the liquid have moved so far that the samples they hold shrink to nothing.
+    The root is the period of a capillary wave as long as a cell. Implicit steps begin to fail between half of it and
+    the whole: the least energy then lies where the light nodes outside the liquid have moved so far that the samples
+    they hold shrink to nothing.
+
+    Parameters
+    ----------
+    spacing : float
+        dx [m].
+    density : float
+        rho at rest [kg/m^3].
+    surface_tension : float
+        The largest coefficient k at the time [N/m]; see `femdeform.mpm.surface_coefficient.largest_coefficient`.
     """
     if surface_tension <= 0.0:
         return np.inf

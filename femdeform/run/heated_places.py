@@ -18,7 +18,9 @@ from femdeform.types import BoolArray, FloatArray
 _FINENESS, _REACH = 8, 0.87
 
 
-def heat_boundary(scene: PointScene, points: Particles, samples: SurfaceSamples) -> HeatBoundary:
+def heat_boundary(
+    scene: PointScene, points: Particles, samples: SurfaceSamples, covered: BoolArray | None = None
+) -> HeatBoundary:
     """What enters through samples of the surface.
 
     Parameters
@@ -29,6 +31,8 @@ def heat_boundary(scene: PointScene, points: Particles, samples: SurfaceSamples)
         Material points as they are.
     samples : SurfaceSamples
         Of their surface.
+    covered : (n_samples,) bool, optional
+        Samples on walls that keep a temperature: nothing else enters there.
     """
     blocks = [body.heat for body in scene.bodies.values()]
     assert all(block is not None for block in blocks)
@@ -36,11 +40,13 @@ def heat_boundary(scene: PointScene, points: Particles, samples: SurfaceSamples)
     of_sample = points.body[samples.owner]
     transfer = np.array([heat.transfer for heat in heats])[of_sample]
     ambient = np.array([heat.ambient for heat in heats])[of_sample]
+    bare = np.ones(samples.n, dtype=bool) if covered is None else ~covered
+    transfer = np.where(bare, transfer, 0.0)
 
     def flux(positions: FloatArray, time: float) -> FloatArray:
         values = np.zeros(len(positions))
         for number, heat in enumerate(heats):
-            here = (of_sample == number) & (time > heat.flux_start)
+            here = bare & (of_sample == number) & (time > heat.flux_start)
             if heat.flux_within is not None:
                 here &= _is_heated(heat.flux_within, positions, time, points.x, scene.grid.cell_size)
             values[here] = heat.flux

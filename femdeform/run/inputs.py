@@ -119,14 +119,16 @@ def _read(
 
 
 def _check_ranks(loaded: LoadedScene, ranks: int) -> None:
-    if loaded.scene.simulation != "deformable":
-        message = f"runs on one rank, with threads, not on {ranks}"
-        raise InputError([loaded.fault(("simulation",), f"{loaded.scene.simulation} {message}")])
-    scene = loaded.deformable
+    scene = loaded.scene
+    alone = f"on one rank, with threads, not on {ranks}"
+    if scene.simulation == "incompressible_flow":
+        raise InputError([loaded.fault(("simulation",), f"{scene.simulation} runs {alone}")])
+    if scene.simulation == "material_points" and scene.time.scheme == "explicit":
+        raise InputError([loaded.fault(("time", "scheme"), f"explicit steps of material points run {alone}")])
     if scene.linear_solver.method == "scipy_direct":
         key = ("linear_solver", "method")
         raise InputError([loaded.fault(key, f"scipy_direct is serial; use ksp on {ranks} ranks")])
-    if scene.contact.method == "ipc":
+    if scene.simulation == "deformable" and scene.contact.method == "ipc":
         key = ("contact", "method")
         raise InputError([loaded.fault(key, f"ipc is serial; run on one rank, not {ranks}, or use penalty")])
 

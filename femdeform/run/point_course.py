@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from femdeform import registry
 from femdeform.errors import InputError
 from femdeform.mpm.particles import Particles
+from femdeform.mpm.surface_coefficient import largest_coefficient
 from femdeform.mpm.time_step import capillary_limit, explicit_limit
 from femdeform.run.checkpoint import START_ANEW
 from femdeform.run.course import Columns, Fields, FrameData
@@ -50,8 +51,8 @@ class PointCourse:
     ----------
     given : RunInput
         The checked scene and the meshes of its bodies and walls.
-    comm : None
-        Material points run on one rank.
+    comm : mpi4py communicator or None
+        Ranks share the grid solve of an implicit step; each has all material points, and does all else.
     """
 
     columns = COLUMNS
@@ -70,41 +71,36 @@ class PointCourse:
                 make = registry.resolve(registry.LINEAR_SOLVERS["block_cg"])
                 self._linear_solver = make(options.tolerance, options.max_iterations)
             else:
-                self._linear_solver = make_linear_solver(options, 1, self.notices)
+                self._linear_solver = make_linear_solver(options, 1 if comm is None else comm.Get_size(), self.notices)
             solver = registry.resolve(registry.SOLVERS["projected_newton"])(scene.solver, self._linear_solver)
         self._solver = solver
-        self._step = PointStep(scene, given.meshes, solver)
+        self.start = PointState(make_points(scene, given.meshes))
+        self._step = PointStep(scene, given.meshes, solver, comm, self.start.particles)
         self._meter = PointMeter(scene, self._step.materials)
         self._measured: dict[str, float] = {}
         self.writer = VTPWriter()
-        self.start = PointState(make_points(scene, given.meshes))
-        self._limit = self._longest_step()
-        if self._limit < scene.time.dt:
+        densities = law_densities(self._step.materials, scene)
+        self._lightest = min(density for _, density in densities)
+        self._sound_limit = explicit_limit(scene.grid.cell_size, densities) if solver is None else np.inf
+        limit = self._wave_limit(self.start.particles)
+        if limit < scene.time.dt:
             what = "explicit steps" if solver is None else "steps with surface tension"
-            self.notices.append(f"{what} may not be longer than {self._limit:.3g} s here: dt is halved until it fits")
+            self.notices.append(f"{what} may not be longer than {limit:.3g} s at first: dt is halved until it fits")
 
-    def _longest_step(self) -> float:
-        """What sound and capillary waves allow [s]; the latter bind implicit steps too."""
-        materials, strongest = self._step.materials, 0.0
-        # Temperatures change on the way; what is seen at the start has to do.
-        temperature = self.start.particles.temperature
-        for tension in materials.tensions:
-            if tension is not None:
-                functions = [tension.liquid_gas, *(function for _, function in tension.regions)]
-                functions += [] if tension.solid_liquid is None else [tension.solid_liquid]
-                strongest = max([strongest, *(float(np.abs(each(temperature)).max()) for each in functions)])
-        spacing, densities = self._scene.grid.cell_size, law_densities(materials, self._scene)
-        if self._scene.time.scheme == "explicit":
-            return explicit_limit(spacing, densities, strongest)
-        return capillary_limit(spacing, min(density for _, density in densities), strongest)
+    def _wave_limit(self, particles: Particles) -> float:
+        """What sound and capillary waves allow [s]; the latter bind implicit steps too and follow temperatures."""
+        spacing = self._scene.grid.cell_size
+        # Samples lie as far from their owners as the radius of the level set, less than a cell.
+        strongest = largest_coefficient(particles, self._step.materials.tensions, spacing)
+        return min(self._sound_limit, capillary_limit(spacing, self._lightest, strongest))
 
     # ------------------------------------------------------------------------------------------------- stepping
 
     def step_limit(self, state: PointState) -> float:
-        """Longest step by the speed of the points, and by sound where the step is explicit [s]."""
+        """Longest step by the speed of the points, by capillary waves, and by sound where the step is explicit [s]."""
         fastest = float(np.sqrt((state.particles.v**2).sum(axis=1).max(initial=0.0)))
         courant = self._scene.time.cfl * self._scene.grid.cell_size / fastest if fastest > 0.0 else np.inf
-        return min(courant, self._limit)
+        return min(courant, self._wave_limit(state.particles))
 
     def attempt(
         self, state: PointState, dt: float, observe: IterationObserver | None
@@ -132,6 +128,7 @@ class PointCourse:
                 "heat_iterations": report.heat.iterations,
                 "boundary_power": report.heat.boundary_power,
                 "source_power": report.heat.source_power,
+                "wall_power": report.heat.wall_power,
                 "melted": report.n_melted,
                 "frozen": report.n_frozen,
             }

@@ -118,7 +118,7 @@ def make_walls(scene: PointScene, meshes: Mapping[str, Mesh]) -> list[RigidWall]
             shapes += [Plane(np.array(wall.shape.max), -normal) for normal in inward]
         else:
             shapes = [_shape(wall.shape, wall.inside, meshes, f"walls-{number}")]
-        walls += [RigidWall(shape, wall.kind, velocity, wall.friction) for shape in shapes]
+        walls += [RigidWall(shape, wall.kind, velocity, wall.friction, wall.temperature) for shape in shapes]
     return walls
 
 
@@ -132,28 +132,47 @@ class Materials:
         By ``(body, phase)``, see `femdeform.mpm.explicit_laws`; liquids with their values at the first temperature.
     bulk_modulus, viscosity : list of TemperatureFunction
         Of the liquid phase of each body.
+    moduli : list of (TemperatureFunction, TemperatureFunction) or None
+        Young's modulus and Poisson's ratio of solids in which they follow the temperature.
     tensions : list of SurfaceTension or None
-    capacity, conductivity : (n_bodies,) float64, or None without heat
+    capacity : (n_bodies,) float64, or None without heat
+    conductivity : list of TemperatureFunction, or None without heat
     melting : list of Melting or None
     """
 
     laws: Laws
     bulk_modulus: list[TemperatureFunction]
     viscosity: list[TemperatureFunction]
+    moduli: list[tuple[TemperatureFunction, TemperatureFunction] | None]
     tensions: list[SurfaceTension | None]
     capacity: FloatArray | None
-    conductivity: FloatArray | None
+    conductivity: list[TemperatureFunction] | None
     melting: list[Melting | None]
 
     def at(self, particles: Particles) -> PointMaterials:
         """Constants of an implicit step."""
         solids = {body: law for (body, phase), law in self.laws.items() if phase == SOLID}
         bulk, viscosity = np.zeros(particles.n), np.zeros(particles.n)
+        moduli = np.full((particles.n, 2), np.nan) if any(each is not None for each in self.moduli) else None
         for number, (stiff, viscous) in enumerate(zip(self.bulk_modulus, self.viscosity, strict=True)):
             mine = np.flatnonzero(particles.body == number)
             bulk[mine] = stiff(particles.temperature[mine])
             viscosity[mine] = viscous(particles.temperature[mine])
-        return PointMaterials(solids, bulk, viscosity)
+            functions = self.moduli[number]
+            if moduli is not None and functions is not None:
+                E, nu = (function(particles.temperature[mine]) for function in functions)
+                moduli[mine, 0] = E / (2.0 * (1.0 + nu))
+                moduli[mine, 1] = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        return PointMaterials(solids, bulk, viscosity, moduli)
+
+    def conductivities(self, particles: Particles) -> FloatArray:
+        """Thermal conductivities (n,) at the temperatures of the points [W/(m K)]."""
+        assert self.conductivity is not None
+        out = np.empty(particles.n)
+        for number, function in enumerate(self.conductivity):
+            mine = np.flatnonzero(particles.body == number)
+            out[mine] = function(particles.temperature[mine])
+        return out
 
 
 def make_materials(scene: PointScene) -> Materials:
@@ -164,9 +183,11 @@ def make_materials(scene: PointScene) -> Materials:
     viscosity: list[TemperatureFunction] = []
     tensions: list[SurfaceTension | None] = []
     melting: list[Melting | None] = []
+    moduli: list[tuple[TemperatureFunction, TemperatureFunction] | None] = []
     for number, body in enumerate(scene.bodies.values()):
         if body.solid is not None:
             laws[number, SOLID] = law_for(body.solid, scene.dim)
+        moduli.append(None if body.moduli is None else _moduli(body))
         liquid = body.liquid
         bulk.append(zero if liquid is None else temperature_function(liquid.bulk_modulus))
         viscosity.append(zero if liquid is None else temperature_function(liquid.viscosity))
@@ -185,11 +206,21 @@ def make_materials(scene: PointScene) -> Materials:
         laws,
         bulk,
         viscosity,
+        moduli,
         tensions,
         np.array([heat.capacity for heat in known]) if has_heat else None,
-        np.array([heat.conductivity for heat in known]) if has_heat else None,
+        [temperature_function(heat.conductivity) for heat in known] if has_heat else None,
         melting,
     )
+
+
+def _moduli(body: schema.PointBody) -> tuple[TemperatureFunction, TemperatureFunction]:
+    assert body.solid is not None
+    assert body.moduli is not None
+    given = body.moduli
+    E = body.solid.youngs_modulus if given.youngs_modulus is None else given.youngs_modulus
+    nu = body.solid.poisson_ratio if given.poisson_ratio is None else given.poisson_ratio
+    return temperature_function(E), temperature_function(nu)
 
 
 def _melting(body: schema.PointBody) -> Melting:

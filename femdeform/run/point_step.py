@@ -26,7 +26,8 @@ from femdeform.mpm.surface_forces import surface_forces
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
 from femdeform.run.heated_places import heat_boundary
-from femdeform.run.point_setup import Materials, heat_sources, make_materials, make_walls
+from femdeform.run.hull_areas import area_scales
+from femdeform.run.point_setup import Materials, heat_sources, make_materials, make_points, make_walls
 from femdeform.scene.point_schema import PointScene
 from femdeform.step_problem import IterationObserver, StepSolver
 from femdeform.types import FloatArray, Mesh
@@ -88,17 +89,29 @@ class PointStep:
         Of bodies and walls.
     solver : StepSolver, optional
         For implicit steps.
+    comm : mpi4py communicator or None
+        Ranks that share the grid solve out among them; all else every one of them does for all points.
+    start : Particles, optional
+        All points at the start of the run, where they are at hand.
     """
 
-    def __init__(self, scene: PointScene, meshes: Mapping[str, Mesh], solver: StepSolver | None) -> None:
+    def __init__(
+        self,
+        scene: PointScene,
+        meshes: Mapping[str, Mesh],
+        solver: StepSolver | None,
+        comm: Any | None = None,
+        start: Particles | None = None,
+    ) -> None:
         self.scene = scene
         self.materials: Materials = make_materials(scene)
         self.walls: list[RigidWall] = make_walls(scene, meshes)
+        self._tempered = [wall for wall in self.walls if wall.temperature is not None]
         self._solver = solver
         self._grid = Grid(scene.grid.cell_size, "quadratic")
         self._low, self._high = np.array(scene.grid.low), np.array(scene.grid.high)
         self._gravity = np.zeros(scene.dim) if scene.gravity is None else np.array(scene.gravity)
-        self._potential = PointPotential(self._gravity, scene.surface.symmetric)
+        self._potential = PointPotential(self._gravity, scene.surface.symmetric, comm)
         self.has_tension = any(tension is not None for tension in self.materials.tensions)
         self.has_heat = self.materials.capacity is not None
         exchanges = any(
@@ -115,6 +128,10 @@ class PointStep:
             offset = (radius - 0.5 / per_axis) * scene.grid.cell_size
         self._heat = HeatConduction(self._grid, heat.quadrature, offset, heat.tolerance)
         self._sources = heat_sources(scene)
+        # Of each body; only what exchanges heat asks for it.
+        self._area_scales = np.ones(len(scene.bodies))
+        if exchanges:
+            self._area_scales = area_scales(scene, meshes, make_points(scene, meshes) if start is None else start)
         # Without surface and heat explicit steps go through blocks of nodes, which is many times as fast.
         self._is_fast = scene.time.scheme == "explicit" and not (self._samples_surface or self.has_heat)
         self._is_fast = self._is_fast and scene.transfer.scheme != "group_apic"
@@ -136,15 +153,18 @@ class PointStep:
             surface = self._surface(points, time, step)
         except ValueError as error:
             return particles, PointReport(False, str(error))
+        # Samples without tension are there for the heat only.
+        tense = surface if self.has_tension else None
+        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid)
         heat = None
         if self.has_heat:
-            heat = self._conduct(points, surface, time, dt)
+            heat = self._conduct(points, surface, groups, time, dt)
             if not heat.converged:
                 return particles, PointReport(False, "the conduction of heat did not converge", heat=heat)
         if self.scene.time.scheme == "explicit":
-            new, report = self._explicit(points, surface, time, dt)
+            new, report = self._explicit(points, tense, groups, time, dt)
         else:
-            new, report = self._implicit(points, surface, time, dt, observe)
+            new, report = self._implicit(points, tense, groups, time, dt, observe)
         report = replace(report, heat=heat)
         if surface is not None:
             area = float(surface.samples.measure.sum())
@@ -166,28 +186,32 @@ class PointStep:
             k = surface_coefficients(samples, points, self.materials.tensions, distance).k
         return _Surface(samples, k)
 
-    def _conduct(self, points: Particles, surface: _Surface | None, time: float, dt: float) -> HeatReport:
+    def _conduct(
+        self, points: Particles, surface: _Surface | None, groups: Groups, time: float, dt: float
+    ) -> HeatReport:
         """Move temperatures on, latent heat included."""
         materials = self.materials
         assert materials.capacity is not None
-        assert materials.conductivity is not None
         before = points.temperature.copy()
         capacity = materials.capacity[points.body]
         boundary = None
         samples = None
         if surface is not None:
             samples = surface.samples
-            boundary = heat_boundary(self.scene, points, samples)
+            covered = wall_distance(self._tempered, samples.points, time) < 0.0
+            boundary = heat_boundary(self.scene, points, samples, covered)
         report = self._heat.step(
             points,
             samples,
             dt,
             time + dt,
             capacity,
-            materials.conductivity[points.body],
+            materials.conductivities(points),
             boundary,
             self._sources[points.body],
-            self.scene.heat.area_scale,
+            1.0 if samples is None else self._area_scales[points.body[samples.owner]],
+            groups.stencils.of_first(points.n) if self.scene.heat.quadrature == "owner" else None,
+            self._tempered,
         )
         if report.converged:
             for number, melting in enumerate(materials.melting):
@@ -199,17 +223,15 @@ class PointStep:
         return report
 
     def _explicit(
-        self, points: Particles, surface: _Surface | None, time: float, dt: float
+        self, points: Particles, tense: _Surface | None, groups: Groups, time: float, dt: float
     ) -> tuple[Particles, PointReport]:
         scene = self.scene
-        # Samples without tension are there for the heat only.
-        tense = surface if self.has_tension else None
         done = explicit_step(
             points,
             self.materials.laws,
             self._grid,
             dt,
-            samples=None if tense is None else tense.samples,
+            groups=groups,
             forces=None if tense is None else lambda groups: surface_forces(groups, tense.samples, tense.k),
             gravity=self._gravity,
             walls=self.walls,
@@ -220,12 +242,16 @@ class PointStep:
         return done.particles, PointReport(True, "", n_nodes=done.mass.size, n_bounded=done.n_bounded)
 
     def _implicit(
-        self, points: Particles, surface: _Surface | None, time: float, dt: float, observe: IterationObserver | None
+        self,
+        points: Particles,
+        tense: _Surface | None,
+        groups: Groups,
+        time: float,
+        dt: float,
+        observe: IterationObserver | None,
     ) -> tuple[Particles, PointReport]:
         scene = self.scene
         assert self._solver is not None
-        tense = surface if self.has_tension else None
-        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid)
         is_affine = scene.transfer.scheme in ("apic", "group_apic")
         affine = points.affine if is_affine else np.zeros_like(points.affine)
         mass, velocity = groups.to_grid(points.v, affine, scene.transfer.scheme == "group_apic")
@@ -240,7 +266,7 @@ class PointStep:
             None if tense is None else SurfaceTension(tense.samples, tense.k),
             [
                 NodeWall(
-                    *wall.distance(positions, time + dt),
+                    *wall.node_distance(positions, time + dt, scene.grid.cell_size),
                     np.broadcast_to(wall.velocity, positions.shape),
                     wall.kind,
                     wall.friction,

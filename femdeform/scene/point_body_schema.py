@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -109,9 +110,43 @@ class PointWall(SceneModel):
     )
     friction: NonNegative = Field(default=0.0, description="Coulomb's coefficient, where it slips or separates [-]")
     velocity: Vector | None = Field(default=None, description="velocity [m/s]")
+    temperature: Finite | None = Field(
+        default=None, description="temperature that it keeps bodies at where they touch it [K]; default: it insulates"
+    )
 
 
 # ------------------------------------------------------------------------------------------------------- bodies
+
+
+def _range(function: LinearFunction | TableFunction) -> tuple[float, float]:
+    """Lowest and highest value that a function of the temperature can have."""
+    if isinstance(function, TableFunction):
+        return min(function.values), max(function.values)
+    low = -inf if function.lowest is None else function.lowest
+    return low, inf if function.highest is None else function.highest
+
+
+class SolidModuli(SceneModel):
+    """Constants of a solid that follow the temperature, in place of the numbers of its law."""
+
+    youngs_modulus: Annotated[LinearFunction | TableFunction, Field(discriminator="kind")] | None = Field(
+        default=None, description="Young's modulus [Pa]; a linear function needs `lowest`"
+    )
+    poisson_ratio: Annotated[LinearFunction | TableFunction, Field(discriminator="kind")] | None = Field(
+        default=None, description="Poisson's ratio [-]; a linear function needs `lowest` and `highest`"
+    )
+
+    @model_validator(mode="after")
+    def _in_range(self) -> SolidModuli:
+        if self.youngs_modulus is None and self.poisson_ratio is None:
+            raise ValueError("needs youngs_modulus or poisson_ratio")
+        if self.youngs_modulus is not None and not _range(self.youngs_modulus)[0] > 0.0:
+            raise ValueError("youngs_modulus: has to be positive at every temperature")
+        if self.poisson_ratio is not None:
+            low, high = _range(self.poisson_ratio)
+            if not (low > -1.0 and high < 0.5):
+                raise ValueError("poisson_ratio: has to be between -1 and 0.5, both excluded, at every temperature")
+        return self
 
 
 class LiquidMaterial(SceneModel):
@@ -200,13 +235,20 @@ HeatedPlace = Annotated[
 
 class HeatBlock(SceneModel):
     capacity: Positive = Field(description="specific heat [J/(kg K)]")
-    conductivity: NonNegative = Field(description="thermal conductivity [W/(m K)]")
+    conductivity: TemperatureLaw = Field(description="thermal conductivity [W/(m K)]")
     transfer: NonNegative = Field(default=0.0, description="heat transfer coefficient of the surface [W/(m^2 K)]")
     ambient: Finite = Field(default=0.0, description="ambient temperature [K]")
     flux: Finite = Field(default=0.0, description="heating of the surface whatever its temperature [W/m^2]")
     flux_within: HeatedPlace | None = Field(default=None, description="where the flux acts; default: everywhere")
     flux_start: NonNegative = Field(default=0.0, description="time at which the flux begins [s]")
     source: Finite = Field(default=0.0, description="heating of the volume [W/m^3]")
+
+    @model_validator(mode="after")
+    def _conducts(self) -> HeatBlock:
+        lowest = self.conductivity if isinstance(self.conductivity, float) else _range(self.conductivity)[0]
+        if lowest < 0.0:
+            raise ValueError("conductivity: must not be negative at any temperature")
+        return self
 
 
 class MeltingBlock(SceneModel):
@@ -245,6 +287,9 @@ class PointBody(SceneModel):
         default=None, description="phase at the start; default that of the only material given"
     )
     solid: Material | None = Field(default=None, description="law of the solid phase")
+    moduli: SolidModuli | None = Field(
+        default=None, description="constants of `solid` that follow the temperature, in implicit steps"
+    )
     liquid: LiquidMaterial | None = Field(
         default=None, description="the liquid phase; what melts or freezes keeps its mass and its volume at rest"
     )
@@ -266,6 +311,8 @@ class PointBody(SceneModel):
     def _has_its_materials(self) -> PointBody:
         if self.solid is None and self.liquid is None:
             raise ValueError("needs `solid` or `liquid`, a material")
+        if self.moduli is not None and self.solid is None:
+            raise ValueError("moduli: needs `solid`, the law that they are of")
         if self.phase is None and self.solid is not None and self.liquid is not None:
             raise ValueError("phase: needed where there are both, solid and liquid")
         if self.phase is not None and getattr(self, self.phase) is None:

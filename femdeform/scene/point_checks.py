@@ -107,11 +107,18 @@ def _heat_findings(scene: PointScene) -> Iterator[Finding]:
     if having and len(having) < len(scene.bodies):
         lacking = next(name for name in scene.bodies if name not in having)
         yield Finding(("bodies", lacking), f"needs `heat`, as `{having[0]}` has it: all bodies conduct it, or none")
+    for number, wall in enumerate(scene.walls):
+        if wall.temperature is not None and not having:
+            yield Finding(("walls", number, "temperature"), "needs bodies that conduct heat: give them `heat`")
 
 
 def _scheme_findings(scene: PointScene) -> Iterator[Finding]:
     for name, body in scene.bodies.items():
         liquid = body.liquid
+        if scene.time.scheme == "explicit" and body.moduli is not None:
+            yield Finding(
+                ("bodies", name, "moduli"), "follow the temperature in implicit steps only; use backward_euler"
+            )
         if scene.time.scheme == "explicit" and liquid is not None:
             for key in ("bulk_modulus", "viscosity"):
                 if not isinstance(getattr(liquid, key), float):

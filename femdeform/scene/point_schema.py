@@ -74,7 +74,11 @@ class HeatOptions(SceneModel):
         description="where the surface exchanges heat: at the points that own its samples; at the samples, as "
         "published, which insulates bodies; at samples moved inwards",
     )
-    area_scale: Positive = Field(default=1.0, description="factor on the sampled area [-]")
+    area_scale: Positive | None = Field(
+        default=None,
+        description="factor on the sampled area [-]; default: of each body, the area of its shape over that of the "
+        "sampled contour at the start, 1 for bodies with a part cut out and where bodies touch",
+    )
     tolerance: float = Field(default=1e-10, gt=0.0, lt=1.0, description="reduction of the residual by a solve [-]")
 
 

@@ -137,6 +137,9 @@ class KSP:
         dofs = (partition.global_index[:, None] * dim + np.arange(dim)).ravel()
         rows = np.repeat(dofs, np.diff(K.row_offsets))
         coo.preallocate(self._matrix, rows, dofs[K.columns])
+        if partition.size > 1:
+            # PETSc makes this rank's own part without a block size; Jacobi's blocks would then be read past their end.
+            self._matrix.getDiagonalBlock().setBlockSize(dim)
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         if self.preset.near_nullspace:
             coordinates = PETSc.Vec().createMPI((n, partition.n_global * dim), bsize=dim, comm=comm)

@@ -10,6 +10,7 @@ import pytest
 import scenario
 from numpy.typing import NDArray
 
+from femdeform.materials.fixed_corotated import FixedCorotated
 from femdeform.materials.neo_hookean import NeoHookean
 from femdeform.mpm.grid import Grid
 from femdeform.mpm.point_potential import PointPotential
@@ -57,7 +58,7 @@ def test_forces_of_each_energy_are_derivatives_of_its_formula(dim: int, symmetri
         some.solids,
         some.bulk_modulus if parts == "l" else zero,
         some.viscosity if parts == "v" else zero,
-        np.full(n, float(parts == "h")),
+        float(parts == "h") * np.tile([point_drop.LAW.mu, point_drop.LAW.lmbda], (n, 1)),
     )
     drop.tension = SurfaceTension(drop.tension.samples, drop.tension.coefficient * float(parts == "s"))
     problem = drop.begun(DT)
@@ -69,6 +70,32 @@ def test_forces_of_each_energy_are_derivatives_of_its_formula(dim: int, symmetri
         h = 1e-6
         slope = (drop.energy(u + h * d, DT, parts) - drop.energy(u - h * d, DT, parts)) / (2.0 * h)
         assert slope == pytest.approx(float(np.vdot(gradient, d)), rel=2e-7)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_moduli_of_each_point(dim: int) -> None:
+    """Energies, forces and tangents of solids whose moduli differ from point to point; half keep their law's."""
+    drop = point_drop.drop(dim, liquid="none")
+    drop.tension = SurfaceTension(drop.tension.samples, 0.0 * drop.tension.coefficient)
+    n, points, s = drop.points.n, drop.points, drop.stencils
+    moduli = 10.0 + 50.0 * np.random.default_rng(4).random((n, 2))
+    given = np.where(np.arange(n)[:, None] % 2 == 0, moduli, np.nan)
+    drop.materials = PointMaterials({0: point_drop.LAW}, np.zeros(n), np.zeros(n), given)
+    problem = drop.begun(DT)
+    u = displaced(problem, 0.002)
+    x = problem.unknowns(u)
+    F = np.eye(dim) + np.einsum(
+        "pki,pkj->pij", u[s.nodes[:n]], np.where(s.weights[:n, :, None] > 0.0, s.gradients[:n], 0.0)
+    )
+    laws = [FixedCorotated(*moduli[p]) if p % 2 == 0 else point_drop.LAW for p in range(n)]
+    expected = sum(points.volume[p] * point_drop.corotated(F[p] @ points.F[p], laws[p]) for p in range(n))
+    assert problem.energies(x)["solid"] == pytest.approx(expected, rel=1e-12)
+    h = 1e-6
+    for d in directions(u.shape):
+        slope = (problem.value(x + h * d) - problem.value(x - h * d)) / (2.0 * h)
+        assert slope == pytest.approx(float(np.vdot(problem.full_gradient(x), d)), rel=1e-6)
+        change = (problem.full_gradient(x + h * d) - problem.full_gradient(x - h * d)) / (2.0 * h)
+        np.testing.assert_allclose(problem.hessian(x, project=False).times(d), change, atol=1e-5 * np.abs(change).max())
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -135,7 +162,7 @@ def test_other_laws(dim: int) -> None:
     drop = point_drop.drop(dim, liquid="none")
     law = NeoHookean.from_lame(30.0, 50.0, dim)
     factor = np.random.default_rng(4).uniform(0.5, 2.0, drop.points.n)
-    drop.materials = PointMaterials({0: law}, np.zeros(0), np.zeros(0), factor)
+    drop.materials = PointMaterials({0: law}, np.zeros(0), np.zeros(0), factor[:, None] * [law.mu, law.lmbda])
     problem = drop.begun(DT)
     u = displaced(problem, 0.002)
     x = problem.unknowns(u)

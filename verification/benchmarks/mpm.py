@@ -16,6 +16,8 @@ from verification.benchmarks.run import Findings
 
 # The main case: points, and grid nodes along an edge.
 POINTS, NODES = 512_000, 128
+# Points of the steps with a sampled surface and heat.
+SAMPLED = 100_000
 GROWTH = (64_000, 128_000, 256_000, 512_000, 1_000_000)
 DTYPES = ("float64", "float32")
 # Other materials and transfers, in float64.
@@ -44,6 +46,8 @@ class Results:
         By number of points and type of numbers.
     others : dict
         By law and transfer.
+    sampled : dict
+        By number of threads.
     peers : dict
         By type of numbers.
     """
@@ -53,6 +57,7 @@ class Results:
     main: dict[tuple[str, int], Outcome] = field(default_factory=dict)
     growth: dict[tuple[int, str], Outcome] = field(default_factory=dict)
     others: dict[tuple[str, str], Outcome] = field(default_factory=dict)
+    sampled: dict[int, Outcome] = field(default_factory=dict)
     peers: dict[str, Outcome] = field(default_factory=dict)
 
 
@@ -98,6 +103,12 @@ def run_mpm(say: Callable[[str], None]) -> Findings:
         found = steps(f"others: {law}, {transfer}", results.points, law, "float64", transfer, most)
         if found is not None:
             results.others[law, transfer] = found
+    for threads in sorted({most, 1}, reverse=True):
+        name = f"sampled: {threads} thread{'s' if threads > 1 else ''}"
+        if is_wanted(name):
+            say(name)
+            case = {"kind": "sampled", "points": max(64, round(SAMPLED * scale)), "nodes": results.nodes}
+            results.sampled[threads] = child_process.run_module(_CASE, case, threads)
     _peers(results, say, most)
     return mpm_tables.findings(results)
 

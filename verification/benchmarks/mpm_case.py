@@ -16,14 +16,19 @@ from femdeform.materials.fixed_corotated import FixedCorotated
 from femdeform.materials.neo_hookean import NeoHookean
 from femdeform.mpm.explicit import ExplicitPoints
 from femdeform.mpm.explicit_laws import Liquid
+from femdeform.mpm.grid import Grid
+from femdeform.mpm.groups import Groups
+from femdeform.mpm.heat import HeatBoundary, HeatConduction
 from femdeform.mpm.particle_sampling import sample_particles
 from femdeform.mpm.particles import LIQUID
+from femdeform.mpm.surface_sampling import SurfaceSampler
 from verification.benchmarks import child_process
 from verification.benchmarks.measure import peak_memory, summary
 
 DENSITY, MU, LMBDA = 1000.0, 1.0e5, 1.0e5
 DT = 1.0e-4
 PHASES = ("sort", "to grid", "to points")
+SAMPLED_PHASES = ("surface", "stencils", "stencils of heat", "heat", "to grid", "to points")
 # Seconds of steps that are timed, and steps at least and at most.
 _ENOUGH, _FEWEST, _MOST = 4.0, 10, 60
 _LAWS = {
@@ -108,6 +113,52 @@ def steps(case: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def sampled(case: dict[str, Any]) -> dict[str, Any]:
+    """Time the parts of a step with a sampled surface and heat that go through stored stencils.
+
+    Parameters
+    ----------
+    case : dict
+        ``points``, ``nodes``: see `cube`.
+
+    Returns
+    -------
+    dict
+        ``n`` points, ``samples`` of the surface, ``phases``: medians of its parts by name [s].
+    """
+    rows: list[tuple[float, ...]] = []
+    for points, least in ((1000, 1), (case["points"], _FEWEST)):  # the first compiles
+        particles = cube(points, case["nodes"], "neo_hookean", "float64").particles()
+        particles.temperature[:] = 300.0 + 10.0 * particles.x[:, 0]
+        spacing = 1.0 / case["nodes"]
+        grid, sampler = Grid(spacing, "quadratic"), SurfaceSampler(spacing)
+        conduction = HeatConduction(grid)
+        rows = []
+        for step in range(least):
+            marks = [time.perf_counter()]
+            samples = sampler.sample(particles.x, step)
+            marks.append(time.perf_counter())
+            groups = Groups.split(particles.x, particles.mass, samples, grid)
+            marks.append(time.perf_counter())
+            stencils = groups.stencils.of_first(particles.n)
+            marks.append(time.perf_counter())
+            # A tenth of the time that heat takes through a cell.
+            dt = 0.1 * spacing**2 * DENSITY
+            conduction.step(particles, samples, dt, 0.0, 1.0, 1.0, HeatBoundary(transfer=1.0), stencils=stencils)
+            marks.append(time.perf_counter())
+            _, velocity = groups.to_grid(particles.v, particles.affine)
+            marks.append(time.perf_counter())
+            groups.to_points(velocity)
+            marks.append(time.perf_counter())
+            rows.append(tuple(np.diff(marks)))
+    return {
+        "n": particles.n,
+        "samples": samples.n,
+        "threads": jit.set_threads(),
+        "phases": dict(zip(SAMPLED_PHASES, np.median(rows, axis=0).tolist(), strict=True)),
+    }
+
+
 def _momentum(explicit: ExplicitPoints) -> Any:
     total = np.zeros(3)
     for points in explicit.sets:
@@ -133,4 +184,4 @@ def dump(case: dict[str, Any]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    child_process.serve({"steps": steps, "dump": dump})
+    child_process.serve({"steps": steps, "sampled": sampled, "dump": dump})

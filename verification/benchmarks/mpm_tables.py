@@ -7,7 +7,7 @@ from typing import Any
 from verification.benchmarks.child_process import Outcome
 from verification.benchmarks.environment import is_wanted
 from verification.benchmarks.mpm import DTYPES, POINTS, Results
-from verification.benchmarks.mpm_case import DENSITY, DT, MU, PHASES
+from verification.benchmarks.mpm_case import DENSITY, DT, MU, PHASES, SAMPLED_PHASES
 from verification.benchmarks.run import Findings
 from verification.benchmarks.tables import Table, add_reasons, megabytes, ratio, seconds
 
@@ -23,9 +23,9 @@ def findings(results: Results) -> Findings:
         "neo-Hookean and APIC where nothing else is said. A step sorts the points by block, brings mass, momentum and "
         "forces to the grid, and goes back. Medians. Each case runs in a process of its own."
     )
-    tables = [_main(results), _growth(results), _others(results), _peers(results), _aims(results)]
+    tables = [_main(results), _growth(results), _others(results), _sampled(results), _peers(results), _aims(results)]
     tables = [table for table in tables if table.rows or (table.notes and is_wanted(table.title))]
-    cases = [*results.main.items(), *results.growth.items(), *results.others.items()]
+    cases = [*results.main.items(), *results.growth.items(), *results.others.items(), *results.sampled.items()]
     failures = [f"{key}: {outcome.reason}" for key, outcome in cases if outcome.status == "failed"]
     return Findings(summary, tables, _data(results), failures)
 
@@ -86,6 +86,21 @@ def _others(results: Results) -> Table:
     return table
 
 
+def _sampled(results: Results) -> Table:
+    table = Table(
+        "Parts of a step with a sampled surface and heat",
+        ["", "points", "samples", *SAMPLED_PHASES],
+        notes=["stencils: of all points, samples and their mirror images; those of heat are taken from them."],
+    )
+    for threads, outcome in results.sampled.items():
+        name = f"{threads} thread{'s' if threads > 1 else ''}"
+        add_reasons(table, {name: outcome})
+        if outcome.done:
+            parts = [f"{1e3 * outcome.data['phases'][phase]:.1f} ms" for phase in SAMPLED_PHASES]
+            table.rows.append([name, f"{outcome.data['n']:,}", f"{outcome.data['samples']:,}", *parts])
+    return table
+
+
 def _peers(results: Results) -> Table:
     table = Table(
         f"Beside Taichi, {results.points:,} points",
@@ -126,5 +141,6 @@ def _data(results: Results) -> dict[str, Any]:
         "main": [{"dtype": d, "threads": n, **o.as_data()} for (d, n), o in results.main.items()],
         "growth": [{"points": n, "dtype": d, **o.as_data()} for (n, d), o in results.growth.items()],
         "others": [{"law": law, "transfer": t, **o.as_data()} for (law, t), o in results.others.items()],
+        "sampled": [{"threads": n, **o.as_data()} for n, o in results.sampled.items()],
         "peers": {dtype: outcome.as_data() for dtype, outcome in results.peers.items()},
     }

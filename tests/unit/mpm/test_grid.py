@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from femdeform.jit import set_threads
+from femdeform.mpm import grid as grid_module
 from femdeform.mpm.grid import Grid, Stencils
 from femdeform.mpm.transfers import momentum_to_grid, spin, velocity_to_points
 
@@ -166,3 +170,49 @@ def test_linear_transfers_keep_linear_momentum_only(dim: int) -> None:
     linear, angular = fly("linear", dim, 100)
     assert np.abs(linear - linear[0]).max() < 1e-11 * np.abs(linear).max()
     assert np.abs(angular - angular[0]).max() > 1e-6 * np.abs(angular).max()
+
+
+@pytest.mark.parametrize(("kernel", "dim"), CASES)
+@pytest.mark.parametrize("box", ["small", "large"])
+def test_lists_of_nodes_are_complete_and_ascend(
+    kernel: str, dim: int, box: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against a stable sort of all entries; with nodes of a box numbered one by one, and only those near points."""
+    if box == "large":
+        monkeypatch.setattr(grid_module, "_SMALL_BOX", 0)
+    spread = 30.0 if box == "large" else 1.0
+    points = spread * cloud(dim, 500)
+    s = Grid(0.2, kernel).stencils(points)
+    index = np.rint(s.positions / 0.2).astype(np.int64)
+    assert np.array_equal(index, np.unique(index, axis=0))  # in lexicographic order, none twice
+    held = np.flatnonzero(s.weights.ravel() > 0.0)
+    of_entry = s.nodes.ravel()[held]
+    np.testing.assert_array_equal(s.entries, held[np.argsort(of_entry, kind="stable")])
+    np.testing.assert_array_equal(np.diff(s.offsets), np.bincount(of_entry, minlength=s.n_nodes))
+    assert np.diff(s.offsets).min() > 0
+    np.testing.assert_allclose(s.to_points(s.positions), points, atol=1e-12)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_stencils_of_the_first_points(dim: int) -> None:
+    points, grid = cloud(dim, 300), Grid(0.2, "quadratic")
+    whole = grid.stencils(points)
+    part, alone = whole.of_first(120), grid.stencils(points[:120])
+    assert part.n_nodes < whole.n_nodes
+    for each in fields(Stencils):  # they stay as they were
+        np.testing.assert_array_equal(getattr(whole, each.name), getattr(grid.stencils(points), each.name))
+    for each in fields(Stencils):
+        np.testing.assert_array_equal(getattr(part, each.name), getattr(alone, each.name))
+
+
+def test_stencils_do_not_depend_on_threads() -> None:
+    points, grid = cloud(3, 5000), Grid(0.05, "quadratic")
+    found = []
+    try:
+        for threads in (1, 2):
+            set_threads(threads)
+            found.append(grid.stencils(points))
+    finally:
+        set_threads()
+    for each in fields(Stencils):
+        np.testing.assert_array_equal(getattr(found[0], each.name), getattr(found[1], each.name))

@@ -21,7 +21,7 @@ BELOW = np.array([[0.3, -0.1]])
 
 
 def after(wall: RigidWall, velocity: list[float], position: Any = BELOW) -> np.ndarray:
-    return constrain([wall], np.asarray(position), np.array([velocity]), 0.0)[0]
+    return constrain([wall], np.asarray(position), np.array([velocity]), 0.0, 0.1)[0]
 
 
 def test_stick_takes_the_velocity_of_the_wall() -> None:
@@ -57,8 +57,8 @@ def test_friction_takes_at_most_the_tangential_velocity(kind: Any) -> None:
 def test_a_wall_moves_with_time() -> None:
     wall = RigidWall(FLOOR, "stick", np.array([0.0, 1.0]))
     x, v = np.array([[0.0, 0.5]]), np.array([[2.0, 0.0]])
-    np.testing.assert_array_equal(constrain([wall], x, v, 0.4), v)
-    np.testing.assert_array_equal(constrain([wall], x, v, 0.6), [[0.0, 1.0]])
+    np.testing.assert_array_equal(constrain([wall], x, v, 0.4, 0.1), v)
+    np.testing.assert_array_equal(constrain([wall], x, v, 0.6, 0.1), [[0.0, 1.0]])
 
 
 def test_a_bowl_and_a_container_are_free_inside() -> None:
@@ -72,10 +72,10 @@ def test_a_bowl_and_a_container_are_free_inside() -> None:
 def test_a_corner_of_walls_that_are_not_at_right_angles() -> None:
     normal = np.array([1.0, 1.0])
     walls = [RigidWall(FLOOR, "slip", STILL), RigidWall(Plane(np.zeros(2), normal), "slip", STILL)]
-    v = constrain(walls, np.array([[-1.0, -1.0]]), np.array([[1.0, -1.0]]), 0.0)
+    v = constrain(walls, np.array([[-1.0, -1.0]]), np.array([[1.0, -1.0]]), 0.0, 0.1)
     assert np.abs(v).max() < 1e-5
     sticking = [*walls, RigidWall(FLOOR, "stick", np.array([7.0, 0.0]))]
-    np.testing.assert_array_equal(constrain(sticking, np.array([[-1.0, -1.0]]), v, 0.0), [[7.0, 0.0]])
+    np.testing.assert_array_equal(constrain(sticking, np.array([[-1.0, -1.0]]), v, 0.0, 0.1), [[7.0, 0.0]])
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -26,9 +26,8 @@ def points(*, time: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]
     """A drop in space; keys of the body go to it."""
     body = {"shape": DISC, "liquid": LIQUID}
     own = ("shape", "liquid", "solid", "phase", "velocity", "angular_velocity", "temperature", "surface_tension")
-    body |= {key: more.pop(key) for key in (*own, "heat", "melting", "velocity_gradient") if key in more}
-    if body["liquid"] is None:
-        del body["liquid"]
+    body |= {key: more.pop(key) for key in (*own, "heat", "melting", "moduli", "velocity_gradient") if key in more}
+    body = {key: value for key, value in body.items() if value is not None}
     data = {
         "simulation": "material_points",
         "grid": {"cell_size": 0.0625, "low": [0.0, 0.0], "high": [1.0, 1.0]},

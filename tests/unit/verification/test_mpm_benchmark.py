@@ -37,6 +37,14 @@ def test_other_materials_and_transfers(law: str, transfer: str) -> None:
     assert steps(law, transfer=transfer)["momentum"] < 1e-11
 
 
+def test_parts_of_a_sampled_step_are_timed() -> None:
+    found = mpm_case.sampled({"points": 512, "nodes": 16})
+    assert found["n"] == 512
+    assert found["samples"] > 100
+    assert set(found["phases"]) == set(mpm_case.SAMPLED_PHASES)
+    assert all(seconds > 0.0 for seconds in found["phases"].values())
+
+
 def test_tables() -> None:
     data = steps()
     done = Outcome("done", data)
@@ -44,12 +52,14 @@ def test_tables() -> None:
     results.main = {("float64", 2): done, ("float32", 2): Outcome("failed", {}, "it broke")}
     results.growth = {(512, "float64"): done}
     results.others = {("liquid", "apic"): done}
+    results.sampled = {2: Outcome("done", mpm_case.sampled({"points": 64, "nodes": 16}))}
     peer = {"time": data["time"], "n": 512, "threads": 2, "notes": ["version 1"]}
     results.peers = {"float64": Outcome("done", peer), "float32": skipped("no Taichi")}
     found = mpm_tables.findings(results)
     text = "\n".join(table.to_markdown() for table in found.tables)
     assert "| million points/s, float64 | 5 |" in text
     assert "1.0 x" in text
+    assert "| 2 threads | 64 |" in text
     assert "Taichi, float32 skipped: no Taichi." in text
     assert "float32, 2 threads failed: it broke." in text
     assert found.failures == ["('float32', 2): it broke"]
