@@ -129,6 +129,14 @@ class NodePattern:
         See `relative_places`.
     """
 
+    neighbours: np.ndarray[Any, np.dtype[np.int32]]
+    ranks: np.ndarray[Any, np.dtype[np.uint8]]
+    row_offsets: IntArray
+    columns: np.ndarray[Any, np.dtype[np.int32]]
+    dof_row_offsets: np.ndarray
+    dof_columns: np.ndarray
+    relative: IntArray
+
     def __init__(self, stencils: Stencils, partition: Partition) -> None:
         self.positions, self._index = stencils.positions, partition.global_index
         n, dim = self.positions.shape
@@ -147,7 +155,7 @@ class NodePattern:
             point_kernels.find_neighbours(keys[order], strides, width, found)
             self.neighbours[order] = np.where(found >= 0, order[found], -1)
         there = self.neighbours >= 0
-        self.ranks: np.ndarray[Any, np.dtype[np.uint8]] = (np.cumsum(there, axis=1) - there).astype(np.uint8)
+        self.ranks = (np.cumsum(there, axis=1) - there).astype(np.uint8)
         self.row_offsets = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int64)
         self.columns = self.neighbours[there]
         self.dof_row_offsets, self.dof_columns = expand_to_dofs(self.row_offsets, self.columns, dim)
