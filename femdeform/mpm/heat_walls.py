@@ -102,9 +102,9 @@ def hold_temperatures(
         return None
     beside = _closest_free(positions, spacing, active & (wall_of < 0), nodes, across[nodes], towards[nodes])
     found = np.flatnonzero(beside >= 0)
-    mine, other, number = nodes[found], beside[found], wall_of[nodes[found]]
+    held, other = nodes[found], beside[found]
     ratio = np.zeros(nodes.size)
-    ratio[found] = phi[number, mine] / phi[number, other]
+    ratio[found] = phi[wall_of[held], held] / phi[wall_of[held], other]
     # Where no free node is near, in a film, the wall alone counts.
     slope = scipy.sparse.csr_matrix((ratio[found], (found, other)), shape=(nodes.size, n))
     return HeldTemperatures(nodes, of_wall[nodes] * (1.0 - ratio), slope)

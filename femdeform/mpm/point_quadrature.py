@@ -129,6 +129,14 @@ class NodePattern:
         See `relative_places`.
     """
 
+    neighbours: np.ndarray[Any, np.dtype[np.int32]]
+    ranks: np.ndarray[Any, np.dtype[np.uint8]]
+    row_offsets: IntArray
+    columns: np.ndarray[Any, np.dtype[np.int32]]
+    dof_row_offsets: np.ndarray
+    dof_columns: np.ndarray
+    relative: IntArray
+
     def __init__(self, stencils: Stencils, partition: Partition) -> None:
         self.positions, self._index = stencils.positions, partition.global_index
         n, dim = self.positions.shape

@@ -46,9 +46,9 @@ def test_of_a_disc(radius: float) -> None:
 
 def test_of_the_verified_scenes() -> None:
     """Factors that were set by hand: the circle over the mean of many contours."""
-    assert scales(scene(disc(0.2)))[0] == pytest.approx(0.9547, abs=0.01)
+    assert scales(scene(disc(0.2)))[0] == pytest.approx(0.9547, abs=1e-4)
     square = {"kind": "box", "min": [0.296875] * 2, "max": [0.703125] * 2}
-    assert scales(scene(square))[0] == pytest.approx(0.9723, abs=0.01)
+    assert scales(scene(square))[0] == pytest.approx(0.9723, abs=1e-4)
 
 
 def test_of_a_ball_and_an_ellipsoid() -> None:

@@ -61,7 +61,7 @@ def test_steps_follow_tensions_that_rise(tmp_path: Path) -> None:
     assert hottest[-1] == pytest.approx(40.0, rel=0.05)
     assert (history["dt"] <= allowed * (1.0 + 1e-9)).all()
     assert history["dt"][0] == 0.02
-    assert history["dt"][-2] <= 0.005
+    assert history["dt"][-2] < 0.4 * history["dt"][0]
 
 
 def test_a_solid_has_no_limit_until_it_melts(tmp_path: Path) -> None:
