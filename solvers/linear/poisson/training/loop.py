@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ TOLERANCE = 1e-4
 _VALIDATIONS = 20
 _MOST_ITERATIONS = 80
 _CLIP = 1.0
+_WARM_UP = 0.02
 
 
 class Learner(Protocol):
@@ -102,7 +104,7 @@ def run_training(
     for values in learner.parameters.values():
         values.requires_grad_(True)
     optimizer = torch.optim.Adam(list(learner.parameters.values()), lr=settings.rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, settings.steps))
     progress = Progress()
     if resume:
         progress = _restore(settings, learner, optimizer, schedule)
@@ -129,6 +131,11 @@ def run_training(
     return progress
 
 
+def _rate(step: int, steps: int) -> float:
+    """Part of the learning rate: it rises for a fiftieth of the steps, as first gradients say little, then falls."""
+    return min(1.0, (step + 1) / (_WARM_UP * steps)) * 0.5 * (1.0 + math.cos(math.pi * step / steps))
+
+
 def _is_late(settings: TrainingSettings, progress: Progress) -> bool:
     return settings.minutes is not None and progress.seconds > 60.0 * settings.minutes
 
@@ -143,7 +150,7 @@ def validation_systems(settings: TrainingSettings) -> list[PressureSystem]:
     rng = np.random.default_rng(987_654)
     labels = [np.full(settings.shape, FLUID, dtype=np.uint8)]
     labels += [blob_labels(settings.shape, is_open, seed=21) for is_open in (False, True)]
-    labels += [random_labels(settings.shape, rng) for _ in range(4)]
+    labels += [random_labels(settings.shape, rng, settings.hard_part) for _ in range(4)]
     return [PressureSystem(each) for each in labels]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import subprocess
 from pathlib import Path
@@ -83,9 +84,10 @@ def _facts(settings: TrainingSettings, progress: Progress, command: str, digest:
     tail = progress.losses[-max(1, len(progress.losses) // 20) :]
     head = progress.losses[: len(tail)]
     data = {
-        "spd_lmg": "random ellipsoids, turned boxes, porous solids and plates, air layers and wavy surfaces; errors "
-        "left by the cycle itself",
-        "dcdm": "empty boxes and random domains with solids and air; errors left by the solver itself"
+        "spd_lmg": "random ellipsoids, turned boxes, air layers and wavy surfaces, "
+        f"{settings.hard_part:.0%} porous solids and plates; errors left by the cycle itself",
+        "dcdm": "empty boxes and random domains with solids and air, "
+        f"{settings.hard_part:.0%} of the latter porous or with plates; errors left by the solver itself"
         if settings.route == "on_policy"
         else f"{settings.samples} right-hand sides of Ritz vectors of the empty box, {settings.lanczos} Lanczos steps",
     }[settings.kind]
@@ -93,9 +95,11 @@ def _facts(settings: TrainingSettings, progress: Progress, command: str, digest:
         "command": f"`{command}`",
         "seed": settings.seed,
         "commit": _commit(),
+        "start": _start(settings.start),
         "data": data,
         "grid": " x ".join(map(str, settings.shape)),
-        "steps": f"{progress.step} of {settings.steps}, {settings.batch} samples each, {progress.seconds:.0f} s",
+        "steps": f"{progress.step} of {settings.steps}, {settings.batch} samples each, {settings.precision}, "
+        f"{progress.seconds:.0f} s",
         "loss": f"{np.mean(head):.3f} at the start, {np.mean(tail):.3f} at the end",
         "validation": f"{progress.validations[0][1]:.2f} iterations at the start, "
         f"{min(v for _, v in progress.validations):.2f} at step {progress.best_step}, whose weights these are",
@@ -133,6 +137,13 @@ def _row(label: str, system: PressureSystem, learner: Learner, progress: Progres
         answer = solver.solve(b, TOLERANCE, _MOST)
         counts.append(str(answer.iterations) if answer.converged else f"over {answer.iterations}")
     return f"| {label} | {' | '.join(counts)} |"
+
+
+def _start(path: Path | None) -> str:
+    """What the parameters were before the first step."""
+    if path is None:
+        return "random"
+    return f"`{path.name}`, SHA-256 `{hashlib.sha256(path.read_bytes()).hexdigest()}`"
 
 
 def _commit() -> str:
