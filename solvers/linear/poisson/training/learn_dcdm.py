@@ -43,26 +43,25 @@ _TINY = 1e-20
 class TorchOperations:
     """Operations on (batch, channels, ..) tensors; kernels are stored as NumPy has them, (3, .., in, out)."""
 
-    def convolve(self, x: Tensor, kernel: Tensor, bias: Tensor | None) -> Tensor:
-        """Convolution with zeros outside of the grid."""
+    def convolve(self, x: Tensor, kernel: Tensor, bias: Tensor | None, is_cut: bool, plus: Tensor | None) -> Tensor:
+        """Convolution with zeros outside of the grid, its positive part if `is_cut`, and then the sum with `plus`."""
         flat = x.dim() == 4
         convolve = torch.nn.functional.conv2d if flat else torch.nn.functional.conv3d
         # Channels last is the faster order for few channels; what follows keeps it.
         x = x.contiguous(memory_format=torch.channels_last if flat else torch.channels_last_3d)
-        return convolve(x, kernel.movedim((-1, -2), (0, 1)), bias, padding=kernel.shape[0] // 2)
-
-    def relu(self, x: Tensor) -> Tensor:
-        """The positive part."""
-        return torch.relu(x)
+        out = convolve(x, kernel.movedim((-1, -2), (0, 1)), bias, padding=kernel.shape[0] // 2)
+        out = torch.relu(out) if is_cut else out
+        return out if plus is None else out + plus
 
     def halve(self, x: Tensor) -> Tensor:
         """Means of 2^dim voxels."""
         pool = torch.nn.functional.avg_pool2d if x.dim() == 4 else torch.nn.functional.avg_pool3d
         return pool(x, 2)
 
-    def double(self, x: Tensor) -> Tensor:
-        """The nearest value on the finer grid."""
-        return torch.nn.functional.interpolate(x, scale_factor=2, mode="nearest")
+    def double(self, x: Tensor, plus: Tensor | None) -> Tensor:
+        """The nearest value on the finer grid, and the sum with `plus`."""
+        out = torch.nn.functional.interpolate(x, scale_factor=2, mode="nearest")
+        return out if plus is None else out + plus
 
 
 class _Domains:
@@ -78,7 +77,7 @@ class _Domains:
         device = self.diagonal.device
         inner = system.diagonal[1:-1, 1:-1, 1:-1].reshape(labels.shape)
         self.diagonal[slot] = torch.as_tensor(inner.astype(np.float32), device=device)
-        self.masks[slot] = torch.as_tensor(np.moveaxis(network_masks(system), -1, 0), device=device)
+        self.masks[slot] = torch.as_tensor(network_masks(system), device=device)
         self.inverse_counts[slot] = 1.0 / system.n_unknowns if system.n_closed else 0.0
 
     def times(self, slots: Tensor, x: Tensor) -> Tensor:
