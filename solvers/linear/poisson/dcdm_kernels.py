@@ -23,19 +23,52 @@ _CHUNK = 1024
 
 
 @njit
-def _add_taps(before: Any, at: Any, after: Any, w: Any, sums: Any, n: Any) -> None:
-    """Add three neighbouring voxels of one input channel to the sums of four output channels."""
-    a0, a1, a2 = sums[0:n], sums[_CHUNK : _CHUNK + n], sums[2 * _CHUNK : 2 * _CHUNK + n]
-    a3 = sums[3 * _CHUNK : 3 * _CHUNK + n]
-    w00, w01, w02, w03 = w[0, 0], w[0, 1], w[0, 2], w[0, 3]
-    w10, w11, w12, w13 = w[1, 0], w[1, 1], w[1, 2], w[1, 3]
-    w20, w21, w22, w23 = w[2, 0], w[2, 1], w[2, 2], w[2, 3]
+def _add_taps(x: Any, y: Any, z: Any, w: Any, sums: Any, n: Any) -> None:
+    """Add three rows of one input channel, from a place before, to the sums of four output channels.
+
+    Nine taps are taken at once, as sums are read and written for each call: compilers keep vectors of them in
+    registers as long as all arrays but these few are known to be apart.
+    """
     for t in range(n):
-        x0, x1, x2 = before[t], at[t], after[t]
-        a0[t] += w00 * x0 + w10 * x1 + w20 * x2
-        a1[t] += w01 * x0 + w11 * x1 + w21 * x2
-        a2[t] += w02 * x0 + w12 * x1 + w22 * x2
-        a3[t] += w03 * x0 + w13 * x1 + w23 * x2
+        x0, x1, x2 = x[t], x[t + 1], x[t + 2]
+        y0, y1, y2 = y[t], y[t + 1], y[t + 2]
+        z0, z1, z2 = z[t], z[t + 1], z[t + 2]
+        sums[t] += (
+            w[0] * x0 + w[1] * x1 + w[2] * x2 + w[3] * y0 + w[4] * y1 + w[5] * y2 + w[6] * z0 + w[7] * z1 + w[8] * z2
+        )
+        sums[_CHUNK + t] += (
+            w[9] * x0
+            + w[10] * x1
+            + w[11] * x2
+            + w[12] * y0
+            + w[13] * y1
+            + w[14] * y2
+            + w[15] * z0
+            + w[16] * z1
+            + w[17] * z2
+        )
+        sums[2 * _CHUNK + t] += (
+            w[18] * x0
+            + w[19] * x1
+            + w[20] * x2
+            + w[21] * y0
+            + w[22] * y1
+            + w[23] * y2
+            + w[24] * z0
+            + w[25] * z1
+            + w[26] * z2
+        )
+        sums[3 * _CHUNK + t] += (
+            w[27] * x0
+            + w[28] * x1
+            + w[29] * x2
+            + w[30] * y0
+            + w[31] * y1
+            + w[32] * y2
+            + w[33] * z0
+            + w[34] * z1
+            + w[35] * z2
+        )
 
 
 @njit
@@ -62,7 +95,7 @@ def _finish_alone(sums: Any, inner: Any, is_cut: Any, out: Any) -> None:
 
 @njit(parallel=True)
 def convolve(
-    x: Any, weights: Any, bias: Any, rows: Any, inner: Any, is_cut: Any, plus: Any, has_plus: Any, out: Any
+    x: Any, weights: Any, bias: Any, row: Any, inner: Any, is_cut: Any, plus: Any, has_plus: Any, out: Any
 ) -> None:
     """Convolution with 3^dim taps, ``out = [max(0, W x + bias)] [+ plus]``.
 
@@ -70,12 +103,12 @@ def convolve(
     ----------
     x : (c, planes, plane) float32
         Input.
-    weights : (blocks, at least c, 1 or 3, 3, 3, BLOCK) float32
-        Output channels in blocks, filled up with zeros; planes, rows and places of a tap.
+    weights : (blocks, at least c, 1 or 3, 9 BLOCK) float32
+        Output channels in blocks, filled up with zeros; planes; for each channel of a block three rows of three taps.
     bias : (blocks * BLOCK,) float32
         Of the output channels.
-    rows : (3,) int
-        How far away the rows of neighbours are in a plane, ascending.
+    row : int
+        Places from one row of a plane to the next.
     inner : (plane,) float32
         One, and zero in the frame.
     is_cut : bool
@@ -88,7 +121,7 @@ def convolve(
         Planes of zeros are left alone.
     """
     reach = weights.shape[2] // 2
-    margin = rows[-1] + 1
+    margin = row + 1
     chunks = (x.shape[2] - 2 * margin + _CHUNK - 1) // _CHUNK
     for task in prange((x.shape[1] - 2 * reach) * chunks):
         i = reach + task // chunks
@@ -101,16 +134,15 @@ def convolve(
             for c in range(x.shape[0]):
                 for dx in range(weights.shape[2]):
                     line = x[c, i + dx - reach]
-                    for row in range(rows.shape[0]):
-                        at = begin + rows[row]
-                        _add_taps(
-                            line[at - 1 : at - 1 + n],
-                            line[at : at + n],
-                            line[at + 1 : at + 1 + n],
-                            weights[block, c, dx, row],
-                            sums,
-                            n,
-                        )
+                    at = begin - 1
+                    _add_taps(
+                        line[at - row : at - row + n + 2],
+                        line[at : at + n + 2],
+                        line[at + row : at + row + n + 2],
+                        weights[block, c, dx],
+                        sums,
+                        n,
+                    )
             for o in range(BLOCK):
                 channel = block * BLOCK + o
                 found = sums[o * _CHUNK : o * _CHUNK + n]

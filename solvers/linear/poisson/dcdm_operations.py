@@ -34,8 +34,9 @@ def prepare(parameters: Mapping[str, NDArray[Any]]) -> dict[str, Field]:
             found[name] = np.ascontiguousarray(_filled(values, -2).reshape(-1, values.shape[-1]).T)
         else:
             filled = _filled(_filled(values, -1), -2)
-            taps = filled.reshape(-1, 3, 3, filled.shape[-2], filled.shape[-1] // BLOCK, BLOCK)
-            found[name] = np.ascontiguousarray(np.moveaxis(taps, (4, 3), (0, 1)))
+            n_in, n_out = filled.shape[-2:]
+            taps = filled.reshape(-1, 9, n_in, n_out // BLOCK, BLOCK)
+            found[name] = np.transpose(taps, (3, 2, 0, 4, 1)).reshape(n_out // BLOCK, n_in, -1, 9 * BLOCK)
     return found
 
 
@@ -47,11 +48,11 @@ def _filled(values: NDArray[Any], axis: int) -> Field:
 
 
 @lru_cache(maxsize=16)
-def _plane(shape: tuple[int, ...]) -> tuple[NDArray[np.int64], Field]:
-    """Distances of the rows around one in a plane of this shape, and where the plane is not its frame."""
+def _inner(shape: tuple[int, ...]) -> Field:
+    """One where a plane of this shape is not its frame, in one row."""
     inner = np.zeros(shape, dtype=np.float32)
     inner[1:-1, 1:-1] = 1.0
-    return np.array([-shape[1], 0, shape[1]]), inner.reshape(-1)
+    return inner.reshape(-1)
 
 
 def _planes(x: Field) -> Field:
@@ -79,15 +80,14 @@ class CompiledOperations:
         """Convolution with zeros outside of the grid, its positive part if `is_cut`, and then the sum with `plus`."""
         if kernel.ndim == 2:
             return self._dense(x, kernel, bias, is_cut, plus)
-        rows, inner = _plane(x.shape[-2:])
         n_out = kernel.shape[0] * BLOCK
         out = np.zeros((n_out, *x.shape[1:]), dtype=np.float32)
         dcdm_kernels.convolve(
             _planes(x),
             kernel,
             np.zeros(n_out, dtype=np.float32) if bias is None else bias,
-            rows,
-            inner,
+            x.shape[-1],
+            _inner(x.shape[-2:]),
             is_cut,
             _planes(out if plus is None else plus),
             plus is not None,
