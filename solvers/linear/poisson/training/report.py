@@ -21,6 +21,8 @@ from solvers.linear.poisson.weights_file import Weights, save_weights
 
 # Iterations after which a solver is given up: the guard stops deep conjugate directions earlier than that.
 _MOST = {"dcdm": 40, "spd_lmg": 200}
+# Voxels of a grid from which on deep conjugate directions are tried on the easier systems alone.
+_DEAR = 150_000
 # Right-hand sides that neither training nor validation has.
 _SEED = 4321
 
@@ -55,9 +57,7 @@ def _card(
     import torch
 
     facts = "\n".join(f"| {key} | {value} |" for key, value in _facts(settings, progress, command, digest).items())
-    rows = "\n".join(
-        _row(label, system, learner, progress, _MOST[settings.kind]) for label, system in _test_systems(settings)
-    )
+    rows = "\n".join(_row(label, system, learner, progress, settings) for label, system in _test_systems(settings))
     return f"""\
 # {name}
 
@@ -71,7 +71,7 @@ Weights of `{settings.kind}` in {settings.dim} dimensions.
 ## Iterations
 
 To a residual of 1e-4 of the right-hand side, on domains of the kinds that were trained on, but other ones than were
-used for training or for choosing the step; "start" is the same solver before training.
+used for training or for choosing the step; "start" is the same solver before this training.
 
 | system | start | trained | multigrid V(1,1) | multigrid V(2,2) |
 |---|---|---|---|---|
@@ -123,20 +123,28 @@ def _test_systems(settings: TrainingSettings) -> list[tuple[str, PressureSystem]
             "plates with slits": plate_labels(shape),
         }
         size = "^".join(map(str, (cells, settings.dim)))
+        if settings.kind == "dcdm" and labels["empty box"].size > _DEAR:
+            labels = dict(list(labels.items())[:3])
         found += [(f"{name}, {size}", PressureSystem(each)) for name, each in labels.items()]
     return found
 
 
-def _row(label: str, system: PressureSystem, learner: Learner, progress: Progress, most: int) -> str:
+def _row(label: str, system: PressureSystem, learner: Learner, progress: Progress, settings: TrainingSettings) -> str:
     b = smooth_divergence(system, _SEED)
-    solvers: list[PoissonSolver] = [
-        learner.solver(system, progress.start),
+    most = _MOST[settings.kind]
+    # What a network costs in three dimensions allows no more than this.
+    is_dear = settings.kind == "dcdm" and system.n_unknowns > _DEAR
+    solvers: list[PoissonSolver | None] = [
+        None if is_dear else learner.solver(system, progress.start),
         learner.solver(system, progress.best),
         ConjugateGradients(system, Multigrid(system, 1)),
         ConjugateGradients(system, Multigrid(system, 2)),
     ]
     counts = []
     for solver in solvers:
+        if solver is None:
+            counts.append("-")
+            continue
         answer = solver.solve(b, TOLERANCE, most)
         counts.append(str(answer.iterations) if answer.converged else f"over {answer.iterations}")
     return f"| {label} | {' | '.join(counts)} |"
