@@ -126,7 +126,7 @@ def test_training_learns_and_can_be_resumed(
     from solvers.linear.poisson.training import loop
 
     monkeypatch.setattr(loop, "_VALIDATIONS", 4)
-    monkeypatch.setattr(loop, "_MOST_ITERATIONS", 12)
+    monkeypatch.setattr(loop, "MOST_ITERATIONS", 12)
     common = ["train", *kind.split(), "--cells", "16", "--steps", "40", "--batch", "4", "--quiet", "--name", "made"]
     assert main([*common, "--out", str(tmp_path / "whole")]) == 0
     out = capsys.readouterr().out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.interface import PoissonSolver
 from solvers.linear.poisson.multigrid import Multigrid
 from solvers.linear.poisson.training.domains import blob_labels, plate_labels, porous_labels, smooth_divergence
-from solvers.linear.poisson.training.loop import TOLERANCE, Learner, Progress
+from solvers.linear.poisson.training.loop import MOST_ITERATIONS, TOLERANCE, Learner, Progress
 from solvers.linear.poisson.training.settings import TrainingSettings
 from solvers.linear.poisson.weights_file import Weights, save_weights
 
@@ -97,14 +96,14 @@ def _facts(settings: TrainingSettings, progress: Progress, command: str, digest:
     return {
         "command": f"`{command}`",
         "seed": settings.seed,
-        "commit": _commit(),
+        "commit": progress.commit,
         "start": _start(settings.start),
         "data": data,
         "grid": " x ".join(map(str, settings.shape)),
         "steps": f"{progress.step} of {settings.steps}, {settings.batch} samples each, {settings.precision}, "
         f"{progress.seconds:.0f} s",
         "loss": f"{np.mean(head):.3f} at the start, {np.mean(tail):.3f} at the end",
-        "validation": f"{progress.validations[0][1]:.2f} iterations at the start, "
+        "validation": f"{_told(progress.validations[0][1])} iterations at the start, "
         f"{min(v for _, v in progress.validations):.2f} at step {progress.best_step}, whose weights these are",
         "parameters": sum(values.size for values in progress.best.values()),
         "sha256": f"`{digest}`",
@@ -150,26 +149,16 @@ def _row(label: str, system: PressureSystem, learner: Learner, progress: Progres
     return f"| {label} | {' | '.join(counts)} |"
 
 
+def _told(iterations: float) -> str:
+    """Iterations of a validation, which ends at some number of them."""
+    return f"over {MOST_ITERATIONS}" if iterations > MOST_ITERATIONS else f"{iterations:.2f}"
+
+
 def _start(path: Path | None) -> str:
     """What the parameters were before the first step."""
     if path is None:
         return "random"
     return f"`{path.name}`, SHA-256 `{hashlib.sha256(path.read_bytes()).hexdigest()}`"
-
-
-def _commit() -> str:
-    """Of the source that trains, where it lies in a repository."""
-    folder = Path(__file__).parent
-    try:
-        run = subprocess.run(
-            ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=12"],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return run.stdout.strip()
 
 
 def _draw(progress: Progress, path: Path) -> None:
@@ -185,6 +174,7 @@ def _draw(progress: Progress, path: Path) -> None:
         left.plot(np.arange(width, losses.size + 1), smooth, color="C0", label=f"mean of {width}")
     left.set(xlabel="step", ylabel="loss")
     left.legend()
-    right.plot(*np.array(progress.validations).T, "o-", color="C1", markersize=3)
-    right.set(xlabel="step", ylabel="iterations, validation")
+    steps, iterations = np.array(progress.validations).T
+    right.plot(steps, np.minimum(iterations, MOST_ITERATIONS), "o-", color="C1", markersize=3)
+    right.set(xlabel="step", ylabel=f"iterations, validation, {MOST_ITERATIONS} at most", yscale="log")
     figure.savefig(path, dpi=120)
