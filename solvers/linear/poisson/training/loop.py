@@ -24,7 +24,7 @@ from solvers.linear.poisson.training.settings import TrainingSettings
 CHECKPOINT = "checkpoint.pt"
 TOLERANCE = 1e-4
 # Validations and checkpoints in a run.
-_VALIDATIONS = 12
+_VALIDATIONS = 8
 MOST_ITERATIONS = 80
 _CLIP = 1.0
 _WARM_UP = 0.02
