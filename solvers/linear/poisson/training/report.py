@@ -21,7 +21,7 @@ from solvers.linear.poisson.weights_file import Weights, save_weights
 # Iterations after which a solver is given up: the guard stops deep conjugate directions earlier than that.
 _MOST = {"dcdm": 40, "spd_lmg": 200}
 # Voxels of a grid from which on deep conjugate directions are tried on the easier systems alone.
-_DEAR = 150_000
+_DEAR = 100_000
 # Right-hand sides that neither training nor validation has.
 _SEED = 4321
 
