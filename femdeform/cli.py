@@ -294,6 +294,19 @@ def build_parser() -> argparse.ArgumentParser:
     train.add_argument(
         "--samples", type=_positive, default=20000, metavar="N", help="ritz: right-hand sides (default: 20000)"
     )
+    train.add_argument("--start", type=Path, metavar="FILE", help="weights to start from (default: random ones)")
+    train.add_argument(
+        "--precision",
+        choices=["float32", "bfloat16"],
+        default="float32",
+        help="dcdm: of the network in training (default: float32)",
+    )
+    train.add_argument(
+        "--hard",
+        type=float,
+        metavar="P",
+        help="part of the domains with solids that are porous or have plates (default: 0.1 for dcdm, 0.3 for spd_lmg)",
+    )
     train.add_argument("--resume", action="store_true", help="go on from the folder's checkpoint")
     train.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -605,6 +618,9 @@ def _train(arguments: argparse.Namespace) -> int:
         "model",
         "lanczos",
         "samples",
+        "start",
+        "precision",
+        "hard",
     )
     out = arguments.out or Path("results") / f"train-{kind}-{dim}d"
     registry.resolve(registry.TRAIN["threads"])(arguments.threads)

@@ -1,8 +1,7 @@
-"""The convolutional network of deep conjugate directions, evaluated with NumPy; training evaluates the same text."""
+"""The convolutional network of deep conjugate directions, compiled; training evaluates the same text."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -11,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.flow.pressure_system import AIR, GridArray, PressureSystem
-
-# Values of a convolution's patches that are held at a time.
-_PATCH_VALUES = 4_000_000
+from solvers.linear.poisson.dcdm_operations import CompiledOperations, framed, prepare
 
 
 @dataclass(frozen=True)
@@ -99,17 +96,14 @@ class Architecture:
 class Operations(Protocol):
     """What a network is made of, on arrays of some library."""
 
-    def convolve(self, x: Any, kernel: Any, bias: Any | None) -> Any:
-        """Convolution with zeros outside of the grid."""
-
-    def relu(self, x: Any) -> Any:
-        """The positive part."""
+    def convolve(self, x: Any, kernel: Any, bias: Any | None, is_cut: bool, plus: Any | None) -> Any:
+        """Convolution with zeros outside of the grid, its positive part if `is_cut`, and then the sum with `plus`."""
 
     def halve(self, x: Any) -> Any:
         """Means of 2^dim voxels."""
 
-    def double(self, x: Any) -> Any:
-        """The nearest value on the finer grid."""
+    def double(self, x: Any, plus: Any | None) -> Any:
+        """The nearest value on the finer grid, and the sum with `plus`."""
 
 
 def evaluate(architecture: Architecture, parameters: Mapping[str, Any], x: Any, operations: Operations) -> Any:
@@ -127,67 +121,24 @@ def evaluate(architecture: Architecture, parameters: Mapping[str, Any], x: Any, 
         Of the library whose arrays these are.
     """
 
-    def layer(name: str, x: Any) -> Any:
-        return operations.convolve(x, parameters[f"{name}.kernel"], parameters.get(f"{name}.bias"))
+    def layer(name: str, x: Any, is_cut: bool = True, plus: Any | None = None) -> Any:
+        kernel, bias = parameters[f"{name}.kernel"], parameters.get(f"{name}.bias")
+        return operations.convolve(x, kernel, bias, is_cut, plus)
 
     def blocks(part: str, n: int, x: Any) -> Any:
         for i in range(n):
-            inner = operations.relu(layer(f"{part}{i}a", x))
-            outer = operations.relu(layer(f"{part}{i}b", inner))
-            x = outer + x if architecture.residual else outer
+            x = layer(f"{part}{i}b", layer(f"{part}{i}a", x), plus=x if architecture.residual else None)
         return x
 
-    x = operations.relu(layer("first", layer("input", x)))
-    kept = operations.relu(layer("last_left", blocks("left", architecture.left, x)))
-    low = blocks("low", architecture.low, operations.halve(kept) if architecture.pooled else kept)
-    high = operations.double(low) if architecture.pooled else low
-    return layer("output", blocks("up", architecture.up, high + kept if architecture.skip else high))
-
-
-class NumPyOperations:
-    """Operations on float32 arrays (.., channels) of NumPy."""
-
-    def convolve(self, x: NDArray[Any], kernel: NDArray[Any], bias: NDArray[Any] | None) -> NDArray[Any]:
-        """Gather patches, a slab of the grid at a time, and multiply them by the kernel as a matrix."""
-        dim, (n_in, n_out) = x.ndim - 1, kernel.shape[-2:]
-        if kernel.shape[0] == 1:
-            out: NDArray[Any] = x @ kernel.reshape(n_in, n_out)
-        else:
-            padded = np.pad(x, [(1, 1)] * dim + [(0, 0)])
-            matrix = kernel.reshape(-1, n_out)
-            plane = int(np.prod(x.shape[1:-1])) * matrix.shape[0]
-            slab = max(1, _PATCH_VALUES // plane)
-            out = np.empty((*x.shape[:-1], n_out), dtype=x.dtype)
-            for begin in range(0, x.shape[0], slab):
-                end = min(begin + slab, x.shape[0])
-                patches = [
-                    padded[(slice(begin + o[0], end + o[0]), *(slice(s, s + n) for s, n in _windows(o, x.shape)))]
-                    for o in itertools.product(range(3), repeat=dim)
-                ]
-                out[begin:end] = np.concatenate(patches, axis=-1) @ matrix
-        if bias is not None:
-            out += bias
-        return out
-
-    def relu(self, x: NDArray[Any]) -> NDArray[Any]:
-        """The positive part."""
-        return np.asarray(np.maximum(x, np.float32(0.0)))
-
-    def halve(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Means of 2^dim voxels."""
-        dim = x.ndim - 1
-        split = x.reshape(*(m for n in x.shape[:-1] for m in (n // 2, 2)), x.shape[-1])
-        return np.asarray(split.mean(axis=tuple(range(1, 2 * dim, 2)), dtype=x.dtype))
-
-    def double(self, x: NDArray[Any]) -> NDArray[Any]:
-        """The nearest value on the finer grid."""
-        for axis in range(x.ndim - 1):
-            x = np.repeat(x, 2, axis=axis)
-        return x
-
-
-def _windows(offset: tuple[int, ...], shape: tuple[int, ...]) -> list[tuple[int, int]]:
-    return list(zip(offset[1:], shape[1:-1], strict=True))
+    x = layer("first", layer("input", x, is_cut=False))
+    kept = layer("last_left", blocks("left", architecture.left, x))
+    added = kept if architecture.skip else None
+    if architecture.pooled:
+        high = operations.double(blocks("low", architecture.low, operations.halve(kept)), added)
+    else:
+        low = blocks("low", architecture.low, kept)
+        high = low if added is None else low + added
+    return layer("output", blocks("up", architecture.up, high), is_cut=False)
 
 
 def zero_parameters(architecture: Architecture) -> dict[str, NDArray[Any]]:
@@ -207,16 +158,16 @@ def glorot_parameters(architecture: Architecture, rng: np.random.Generator) -> d
 
 
 def network_masks(system: PressureSystem) -> NDArray[np.float32]:
-    """Fluid and air of a system, (n, .., 2), on a grid of even size."""
+    """Fluid and air of a system, (2, n, ..), on a grid of even size."""
     inner = system.labels[1:-1, 1:-1, 1:-1]
     unknown = system.unknown[1:-1, 1:-1, 1:-1]
-    return _even(np.stack([unknown, inner == AIR], axis=-1).astype(np.float32), system.dim)
+    return _even(np.stack([unknown, inner == AIR]).astype(np.float32), system.dim)
 
 
 def _even(values: NDArray[Any], dim: int) -> NDArray[Any]:
-    """Fields (nx, ny, nz, c) as (nx, ny, [nz,] c), filled up with zeros to even sizes."""
-    flat = values[:, :, 0] if dim == 2 else values
-    return np.pad(flat, [(0, n % 2) for n in flat.shape[:dim]] + [(0, 0)])
+    """Fields (c, nx, ny, nz) as (c, nx, ny, [nz]), filled up with zeros to even sizes."""
+    flat = values[..., 0] if dim == 2 else values
+    return np.pad(flat, [(0, 0)] + [(0, n % 2) for n in flat.shape[1:]])
 
 
 class NetworkDirections:
@@ -234,7 +185,9 @@ class NetworkDirections:
     ) -> None:
         if architecture.dim != system.dim:
             raise ValueError(f"a network of dimension {architecture.dim} on a grid of dimension {system.dim}")
-        self._system, self._architecture, self._parameters = system, architecture, parameters
+        self._system, self._architecture = system, architecture
+        self._operations = CompiledOperations()
+        self._parameters = prepare(parameters)
         self._masks = network_masks(system) if architecture.masks else None
 
     def __call__(self, r: GridArray) -> GridArray:
@@ -244,13 +197,13 @@ class NetworkDirections:
         out = system.new_field()
         if norm == 0.0:
             return out
-        scaled = (r[1:-1, 1:-1, 1:-1, None] * (np.sqrt(system.n_unknowns) / norm)).astype(np.float32)
-        x = _even(scaled, system.dim)
+        scaled = (r[1:-1, 1:-1, 1:-1] * (np.sqrt(system.n_unknowns) / norm)).astype(np.float32)
+        x = _even(scaled[None], system.dim)
         if self._masks is not None:
-            x = np.concatenate([x, self._masks], axis=-1)
-        answer = evaluate(self._architecture, self._parameters, x, NumPyOperations())
+            x = np.concatenate([x, self._masks])
+        answer = evaluate(self._architecture, self._parameters, framed(x), self._operations)
         nx, ny, nz = system.shape
-        inner = answer[:nx, :ny, :1] if system.dim == 2 else answer[:nx, :ny, :nz, 0]
-        out[1:-1, 1:-1, 1:-1] = inner
+        inner = answer[0, 1:-1, 1:-1][:nx, :ny]
+        out[1:-1, 1:-1, 1:-1] = inner[..., None] if system.dim == 2 else inner[..., 1 : nz + 1]
         out[~system.unknown] = 0.0
         return out

@@ -41,7 +41,7 @@ class LearnedMultigrid:
     """A V-cycle that a small network has adapted to the domain.
 
     As `Multigrid`, with (i) a relaxation factor of each voxel, 2 sigmoid(g) in (0, 2), for red-black sweeps before the
-    correction and the mirrored ones after it; (ii) linear interpolation over the parents that have an unknown, plus
+    correction and the mirrored ones after it; (ii) linear interpolation over the parents that can be reached, plus
     learned weights that sum to zero over them, and its transpose for restriction; (iii) a factor for each level. g and
     the weights come from a network that sees couplings, air and solids around a voxel, evaluated when the domain
     changes: a cycle costs no network. With heads of zero it is the classical cycle with linear interpolation.
@@ -95,7 +95,7 @@ class LearnedMultigrid:
             diagonal = level.diagonal.astype(dtype)
             values = network.features(diagonal, weights, dim)
             answer = network.heads(parameters, network.NETWORKS[min(k, 1)], values, dim)
-            omega, parents = interpret(answer, network.parent_shares(diagonal, coarse.diagonal, dim))
+            omega, parents = interpret(answer, network.parent_shares(diagonal, weights, coarse.diagonal, dim))
             factor = OVERCORRECTION * np.exp(parameters["factors"][min(k, network.LEVELS - 1)])
             self.learned.append(
                 _Learned(

@@ -123,24 +123,48 @@ def offsets(dim: int) -> list[tuple[int, ...]]:
     return list(itertools.product((-1, 0, 1), repeat=dim))
 
 
-def parent_shares(diagonal: NDArray[Any], coarse: NDArray[Any], dim: int) -> NDArray[np.float32]:
-    """Shares of linear interpolation, (2^dim, nx + 2, ny + 2, nz + 2), over parents that have an unknown.
+def parent_shares(diagonal: NDArray[Any], weights: Any, coarse: NDArray[Any], dim: int) -> NDArray[np.float32]:
+    """Shares of linear interpolation, (2^dim, nx + 2, ny + 2, nz + 2), over parents that can be reached.
 
-    They sum to one, or to zero where no parent has one.
+    A parent beside a voxel's own aggregate counts where neighbours with couplings lead to it, one step along each axis,
+    so that nothing is interpolated through thin plates. The shares sum to one, or to zero where there is no parent.
+
+    Parameters
+    ----------
+    diagonal, weights
+        As `features` has them.
+    coarse : (mx + 2, my + 2, mz + 2) float
+        Diagonal of the next level's matrix.
+    dim : int
+        Of the grid.
     """
-    unknown = diagonal > 0
-    shares = np.zeros((2**dim, *diagonal.shape), dtype=np.float32)
     index = [np.arange(n) for n in diagonal.shape]
     near = [(i + 1) // 2 for i in index]
     beside = [p - 2 * (i % 2) + 1 for i, p in zip(index, near, strict=True)]
+    # The neighbour in the aggregate beside, and whether there is a coupling to it.
+    outer = [np.clip(i - 2 * (i % 2) + 1, 0, i.size - 1) for i in index]
+    is_open = [np.take(weights[a] > 0, index[a] - index[a] % 2, axis=a) for a in range(dim)]
+    shares = np.zeros((2**dim, *diagonal.shape), dtype=np.float32)
+    is_reached = [diagonal > 0]
     for slot in range(2**dim):
-        is_beside = [bool(slot >> axis & 1) for axis in range(3)]
-        at = [b if s else p for p, b, s in zip(near, beside, is_beside, strict=True)]
-        at = [np.clip(a, 0, n - 1) for a, n in zip(at, coarse.shape, strict=True)]
-        weight = np.prod([0.25 if s else 0.75 for s in is_beside[:dim]])
-        shares[slot] = weight * (unknown & (coarse[np.ix_(*at)] > 0))
+        axes = [a for a in range(dim) if slot >> a & 1]
+        if slot:
+            # Take the last step along any of the axes.
+            ways = [is_reached[slot ^ 1 << a] & _after(is_open[a], outer, axes, a) for a in axes]
+            is_reached.append(np.logical_or.reduce(ways))
+        at = [beside[a] if a in axes else near[a] for a in range(3)]
+        at = [np.clip(each, 0, n - 1) for each, n in zip(at, coarse.shape, strict=True)]
+        shares[slot] = 0.25 ** len(axes) * 0.75 ** (dim - len(axes)) * (is_reached[slot] & (coarse[np.ix_(*at)] > 0))
     total = shares.sum(axis=0)
     return np.asarray(shares / np.where(total > 0.0, total, 1.0), dtype=np.float32)
+
+
+def _after(values: NDArray[Any], outer: list[NDArray[Any]], axes: list[int], last: int) -> NDArray[Any]:
+    """Values at the voxel that steps along all axes but the last one lead to."""
+    for axis in axes:
+        if axis != last:
+            values = np.take(values, outer[axis], axis=axis)
+    return values
 
 
 def colours(shape: tuple[int, ...]) -> NDArray[np.bool_]:

@@ -12,11 +12,11 @@ from solvers.linear.poisson.dcdm import DeepConjugateDirections, Directions
 from solvers.linear.poisson.dcdm_network import (
     Architecture,
     NetworkDirections,
-    NumPyOperations,
     evaluate,
     glorot_parameters,
     zero_parameters,
 )
+from solvers.linear.poisson.dcdm_operations import CompiledOperations, framed, prepare
 from solvers.linear.poisson.guard import DCDM_LIMITS, FasterOf, Guarded, Limits, SpeedRule, Watchdog
 from solvers.linear.poisson.interface import PoissonResult
 from solvers.linear.poisson.multigrid import Multigrid
@@ -230,19 +230,52 @@ def test_reach(architecture: Architecture, reach: int) -> None:
     assert architecture.reach == reach
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_convolution(dim: int) -> None:
-    """Against SciPy's correlation, channel by channel."""
+@pytest.mark.parametrize("shape", [(8, 10), (40, 70), (6, 4, 8), (4, 34, 36)])
+@pytest.mark.parametrize("outputs", [2, 7])
+def test_convolution(shape: tuple[int, ...], outputs: int) -> None:
+    """Against SciPy's correlation, channel by channel; planes shorter and longer than what is summed at a time."""
     from scipy.ndimage import correlate
 
     rng = np.random.default_rng(0)
-    x = rng.standard_normal((*(7, 5, 4)[:dim], 3))
-    kernel = rng.standard_normal((3,) * dim + (3, 2))
-    bias = rng.standard_normal(2)
-    found = NumPyOperations().convolve(x, kernel, bias)
-    for o in range(2):
-        expected = sum(correlate(x[..., i], kernel[..., i, o], mode="constant") for i in range(3)) + bias[o]
-        np.testing.assert_allclose(found[..., o], expected, atol=1e-12)
+    dim = len(shape)
+    x = rng.standard_normal((3, *shape))
+    kernel = rng.standard_normal((3,) * dim + (3, outputs))
+    bias = rng.standard_normal(outputs)
+    made = prepare({"a.kernel": kernel, "a.bias": bias})
+    plus = np.zeros((made["a.bias"].size, *(n + 2 for n in shape)), dtype=np.float32)
+    plus[(slice(None), *(slice(1, -1),) * dim)] = rng.standard_normal((plus.shape[0], *shape))
+    operations = CompiledOperations()
+    inner = (slice(0, outputs), *(slice(1, -1),) * dim)
+    for is_cut, added in ((False, None), (True, None), (True, plus)):
+        found = operations.convolve(framed(x), made["a.kernel"], made["a.bias"], is_cut, added)
+        for o in range(outputs):
+            expected = sum(correlate(x[i], kernel[..., i, o], mode="constant") for i in range(3)) + bias[o]
+            expected = np.maximum(expected, 0.0) if is_cut else expected
+            np.testing.assert_allclose(
+                found[inner][o], expected if added is None else expected + added[inner][o], atol=1e-4
+            )
+        framed_zeros = found.copy()
+        framed_zeros[(slice(None), *inner[1:])] = 0.0
+        assert not np.any(framed_zeros)
+    alone = operations.convolve(framed(x), made["a.kernel"], None, False, None)
+    first = sum(correlate(x[i], kernel[..., i, 0], mode="constant") for i in range(3))
+    np.testing.assert_allclose(alone[inner][0], first, atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", [(8, 6), (4, 6, 8)])
+def test_halving_and_doubling(shape: tuple[int, ...]) -> None:
+    x = np.random.default_rng(1).standard_normal((3, *shape)).astype(np.float32)
+    dim = len(shape)
+    inner = (slice(None), *(slice(1, -1),) * dim)
+    operations = CompiledOperations()
+    half = operations.halve(framed(x))
+    split = x.reshape(3, *(m for n in shape for m in (n // 2, 2)))
+    np.testing.assert_allclose(half[inner], split.mean(axis=tuple(range(2, 2 * dim + 1, 2))), atol=1e-6)
+    whole = half[inner]
+    for axis in range(dim):
+        whole = np.repeat(whole, 2, axis=axis + 1)
+    np.testing.assert_array_equal(operations.double(half, None)[inner], whole)
+    np.testing.assert_allclose(operations.double(half, framed(x))[inner], whole + x, atol=1e-6)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -250,9 +283,9 @@ def test_what_the_network_reaches(dim: int) -> None:
     """A voxel moves the answer within the reach and not beyond it."""
     architecture = Architecture(dim=dim, left=0, low=1, up=0, channels=3, bias=False)
     parameters = glorot_parameters(architecture, np.random.default_rng(2))
-    x = np.zeros((32,) + (4,) * (dim - 1) + (1,), dtype=np.float32)
-    x[15, 2] = 1.0
-    answer = evaluate(architecture, parameters, x, NumPyOperations())
+    x = np.zeros((1, 32) + (4,) * (dim - 1), dtype=np.float32)
+    x[0, 15, 2] = 1.0
+    answer = evaluate(architecture, prepare(parameters), framed(x), CompiledOperations())[0, 1:-1]
     moved = np.flatnonzero(np.abs(answer).reshape(32, -1).max(axis=1))
     assert moved.min() >= 15 - architecture.reach
     assert moved.max() <= 15 + architecture.reach + 1

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from femdeform.errors import InputError
 from femdeform.flow.pressure_system import AIR, FLUID, SOLID, GridArray, PressureSystem
 from femdeform.scene.pressure_schema import DCDMPressureSolver, SPDLMGPressureSolver
-from solvers.linear.poisson import spd_lmg_network
+from solvers.linear.poisson import spd_lmg_network, weights_file
 from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.dcdm_network import Architecture, glorot_parameters
 from solvers.linear.poisson.make import PressureSolverMaker
@@ -75,9 +75,10 @@ def test_files_of_another_kind_are_refused(untrained: Path, method: str, dim: in
         load_weights(str(untrained), method, dim)
 
 
-def test_names_that_are_none() -> None:
+def test_names_that_are_none(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="no weights named nothing"):
         load_weights("nothing", "dcdm", 2)
+    monkeypatch.setattr(weights_file, "shipped_weights", list)
     with pytest.raises(InputError, match=r"no weights of method dcdm in 3 dimensions.*femdeform train dcdm --dim 3"):
         load_weights(None, "dcdm", 3)
 
@@ -109,6 +110,25 @@ def test_the_shipped_cycle_is_no_worse_than_one_sweep_of_multigrid(dim: int, n: 
     classical = ConjugateGradients(system, Multigrid(system, 1)).solve(b, 1e-4, 50)
     assert ours.converged
     assert ours.iterations <= classical.iterations
+
+
+@pytest.mark.parametrize("is_open", [False, True])
+@pytest.mark.parametrize(("dim", "n", "most"), [(2, 64, 20), (3, 16, 12), (3, 32, 14)])
+def test_the_shipped_network_needs_no_help(dim: int, n: int, most: int, is_open: bool) -> None:
+    """A solid ball that it has not seen, closed and open, without and with the guard: the answers are the same."""
+    system = domain(n, dim, is_open)
+    b = right_side(system)
+    alone = PressureSolverMaker(DCDMPressureSolver(method="dcdm", fallback="none"), Path())(system)
+    answer = alone.solve(b, 1e-4, 60)
+    assert answer.converged
+    assert answer.iterations <= most
+    r = system.new_field()
+    system.apply(answer.x, r)
+    assert system.norm(b - r) <= 1.01e-4 * system.norm(b)
+    make = PressureSolverMaker(DCDMPressureSolver(method="dcdm"), Path())
+    guarded = make(system).solve(b, 1e-4, 60)
+    assert make.events == []
+    np.testing.assert_array_equal(guarded.x, answer.x)
 
 
 @pytest.mark.parametrize("compare_times", [False, True])

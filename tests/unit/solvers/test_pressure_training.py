@@ -6,22 +6,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 torch = pytest.importorskip("torch")
 
 from femdeform.cli import main  # noqa: E402
-from femdeform.flow.pressure_system import PressureSystem  # noqa: E402
+from femdeform.flow.pressure_system import SOLID, PressureSystem  # noqa: E402
 from solvers.linear.poisson import spd_lmg_network as network  # noqa: E402
 from solvers.linear.poisson.dcdm_network import (  # noqa: E402
     Architecture,
-    NumPyOperations,
     evaluate,
     glorot_parameters,
 )
+from solvers.linear.poisson.dcdm_operations import CompiledOperations, framed, prepare  # noqa: E402
 from solvers.linear.poisson.spd_lmg import LearnedMultigrid  # noqa: E402
 from solvers.linear.poisson.training.domains import random_labels  # noqa: E402
-from solvers.linear.poisson.training.learn_dcdm import TorchOperations  # noqa: E402
+from solvers.linear.poisson.training.learn_dcdm import DCDMLearner, TorchOperations  # noqa: E402
 from solvers.linear.poisson.training.ritz import ritz_pairs, ritz_right_sides  # noqa: E402
+from solvers.linear.poisson.training.settings import TrainingSettings  # noqa: E402
 from solvers.linear.poisson.training.torch_cycle import BatchCycle, domain_levels  # noqa: E402
 from solvers.linear.poisson.weights_file import load_weights  # noqa: E402
 
@@ -33,11 +35,12 @@ def test_both_evaluations_of_the_network_agree(dim: int) -> None:
     architecture = Architecture(dim, masks=True, channels=6)
     rng = np.random.default_rng(0)
     parameters = glorot_parameters(architecture, rng)
-    x = rng.standard_normal((*(12, 8, 6)[:dim], 3)).astype(np.float32)
-    ours = evaluate(architecture, parameters, x, NumPyOperations())
+    x = rng.standard_normal((3, *(12, 8, 6)[:dim])).astype(np.float32)
+    ours = evaluate(architecture, prepare(parameters), framed(x), CompiledOperations())
     tensors = {name: torch.tensor(values) for name, values in parameters.items()}
-    theirs = evaluate(architecture, tensors, torch.tensor(np.moveaxis(x, -1, 0))[None], TorchOperations())
-    np.testing.assert_allclose(np.moveaxis(theirs[0].numpy(), 0, -1), ours, atol=1e-4 * np.abs(ours).max())
+    theirs = evaluate(architecture, tensors, torch.tensor(x)[None], TorchOperations())
+    inner = ours[(slice(None), *(slice(1, -1),) * dim)]
+    np.testing.assert_allclose(theirs[0].numpy(), inner, atol=1e-4 * np.abs(inner).max())
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -76,6 +79,43 @@ def test_ritz_vectors() -> None:
     assert amplitudes[:low].mean() == pytest.approx(9.0 * amplitudes[low:].mean(), rel=0.05)
 
 
+def test_domains_of_training() -> None:
+    """One component; all hard ones have a solid, and only some of the others do."""
+    parts = {}
+    for hard in (0.0, 1.0):
+        rng = np.random.default_rng(4)
+        systems = [PressureSystem(random_labels((12, 12, 12), rng, hard)) for _ in range(40)]
+        for system in systems:
+            assert label(system.unknown)[1] == 1
+            assert system.n_unknowns > 0.2 * 12**3
+        parts[hard] = sum(bool(np.any(s.labels[1:-1, 1:-1, 1:-1] == SOLID)) for s in systems)
+    assert parts[1.0] == 40
+    assert 20 < parts[0.0] < 40
+
+
+def test_a_sample_starts_with_the_error_of_its_right_hand_side(tmp_path: Path) -> None:
+    """Errors have no mean where the domain is closed and are zero outside; a step lowers their energy."""
+    learner = DCDMLearner(TrainingSettings("dcdm", tmp_path, dim=3, cells=8, batch=48))
+    slots = torch.arange(48)
+    errors = learner._errors.clone()
+    torch.testing.assert_close(learner._domains.project(slots, errors), errors, atol=1e-5, rtol=0.0)
+
+    def energies() -> torch.Tensor:
+        e = learner._errors
+        return (e * learner._domains.times(slots, e)).flatten(1).sum(dim=1)
+
+    before = energies()
+    learner._rng = np.random.default_rng(0)
+    loss = learner.loss()
+    # Errors were scaled to unit energy before the step, all but those that were made anew.
+    kept = learner._energy < 1.0
+    assert kept.sum() > 40
+    after = energies()[kept]
+    assert torch.all(before > 0.0)
+    torch.testing.assert_close(after.sqrt(), learner._energy[kept], rtol=1e-3, atol=1e-5)
+    assert 0.0 < float(loss) < 1.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", ["spd_lmg", "dcdm", "dcdm --route ritz --lanczos 60 --samples 64 --model narrow --rate 1e-3"]
@@ -86,7 +126,7 @@ def test_training_learns_and_can_be_resumed(
     from solvers.linear.poisson.training import loop
 
     monkeypatch.setattr(loop, "_VALIDATIONS", 4)
-    monkeypatch.setattr(loop, "_MOST_ITERATIONS", 12)
+    monkeypatch.setattr(loop, "MOST_ITERATIONS", 12)
     common = ["train", *kind.split(), "--cells", "16", "--steps", "40", "--batch", "4", "--quiet", "--name", "made"]
     assert main([*common, "--out", str(tmp_path / "whole")]) == 0
     out = capsys.readouterr().out
@@ -118,9 +158,19 @@ def test_training_learns_and_can_be_resumed(
     for name, values in ours.parameters.items():
         np.testing.assert_allclose(theirs.parameters[name], values, atol=1e-7)
     assert main([*common, "--out", str(tmp_path / "broken"), "--resume", "--seed", "3"]) == 2
+    # What was trained is where another run starts.
+    made = tmp_path / "whole" / "made.npz"
+    further = [*common, "--out", str(tmp_path / "further"), "--steps", "1", "--start", str(made)]
+    assert main(further) == 0
+    start = torch.load(tmp_path / "further" / loop.CHECKPOINT, weights_only=False)["progress"]["start"]
+    for name, values in ours.parameters.items():
+        np.testing.assert_array_equal(start[name], values)
+    assert made.with_name("made.npz.sha256").read_text().split()[0] in (tmp_path / "further/made.md").read_text()
 
 
 def test_faults_of_the_command(tmp_path: Path) -> None:
     assert main(["train", "dcdm", "--cells", "15", "--out", str(tmp_path)]) == 2
     assert main(["train", "dcdm", "--model", "none", "--out", str(tmp_path)]) == 2
+    assert main(["train", "dcdm", "--hard", "1.5", "--out", str(tmp_path)]) == 2
+    assert main(["train", "dcdm", "--start", str(tmp_path / "none.npz"), "--out", str(tmp_path / "new")]) == 2
     assert main(["train", "dcdm", "--resume", "--cells", "16", "--out", str(tmp_path)]) == 2

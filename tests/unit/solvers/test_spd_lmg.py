@@ -14,7 +14,7 @@ from solvers.linear.poisson import spd_lmg_network as network
 from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.interface import Preconditioner
 from solvers.linear.poisson.multigrid import Multigrid
-from solvers.linear.poisson.spd_lmg import LearnedMultigrid
+from solvers.linear.poisson.spd_lmg import LearnedMultigrid, finest_weights
 
 
 def ball(n: int, dim: int, is_open: bool) -> NDArray[np.uint8]:
@@ -102,7 +102,7 @@ def test_heads_of_zero_are_the_classical_cycle(dim: int) -> None:
     B = as_matrix(system, LearnedMultigrid(system, parameters, 1, np.float64))
     A = system.matrix().toarray()
     coarse = Multigrid(system, 1, np.float64).levels[1]
-    shares = network.parent_shares(system.diagonal, coarse.diagonal, dim)
+    shares = network.parent_shares(system.diagonal, finest_weights(system, np.float64), coarse.diagonal, dim)
     P = np.zeros((system.n_unknowns, coarse.x.size))
     for row, (i, j, k) in enumerate(np.argwhere(system.unknown)):
         for slot in range(2**dim):
@@ -131,6 +131,23 @@ def test_heads_of_zero_are_the_classical_cycle(dim: int) -> None:
     E = np.eye(len(A)) - S.T @ A
     by_hand = S + S.T - S.T @ A @ S + 2.0 * E @ P @ M @ P.T @ E.T
     np.testing.assert_allclose(B, by_hand, atol=1e-6 * np.abs(by_hand).max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_nothing_is_interpolated_through_a_plate(dim: int) -> None:
+    """Parents of voxels beside a plate are those on their side, and at its edge one that a way around leads to."""
+    labels: NDArray[np.uint8] = np.full((12, 16, 8)[:dim], FLUID, dtype=np.uint8)
+    labels[5, :10] = SOLID  # with the frame place 6, the second of its aggregate
+    system = PressureSystem(labels)
+    coarse = Multigrid(system, 1, np.float64).levels[1]
+    shares = network.parent_shares(system.diagonal, finest_weights(system, np.float64), coarse.diagonal, dim)
+    np.testing.assert_allclose(shares.sum(axis=0)[system.unknown], 1.0, rtol=1e-6)
+    across = [slot for slot in range(2**dim) if slot & 1]
+    z = 4 if dim == 3 else 1
+    assert not np.any(shares[across][:, 7, 3:10, z])
+    assert np.all(shares[:, 9, 3:10, z] > 0.0)
+    assert shares[1, 7, 10, z] == 0.0
+    assert shares[3, 7, 10, z] > 0.0
 
 
 @pytest.mark.parametrize("n", [16, 32, 64])

@@ -64,6 +64,8 @@ def _check(settings: TrainingSettings, resume: bool) -> None:
         raise InputError(f"--model: there is no {settings.model}; there are {', '.join(MODELS)}")
     if settings.kind == "dcdm" and settings.cells % 2:
         raise InputError("--cells: the network needs an even number")
+    if settings.hard is not None and not 0.0 <= settings.hard <= 1.0:
+        raise InputError("--hard: a part lies between 0 and 1")
     if settings.device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device: PyTorch finds no CUDA device")
     if (settings.out / CHECKPOINT).exists() and not resume:

@@ -9,24 +9,25 @@ from femdeform.flow.pressure_system import AIR, FLUID, SOLID, GridArray, Pressur
 
 # Fewer fluid voxels than this part of the grid make no domain.
 _LEAST_FLUID = 0.2
-_POROUS = 0.15
-_PLATES = 0.15
+HARD = 0.3
 _AIR_LAYER = 0.35
 _WAVY_SURFACE = 0.15
 
 
-def random_labels(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.uint8]:
+def random_labels(shape: tuple[int, ...], rng: np.random.Generator, hard: float = HARD) -> NDArray[np.uint8]:
     """Labels of a box with solids, below air at times; only its largest component is fluid.
 
-    Up to eight ellipsoids and turned boxes, down to a voxel thin; in 15 of 100 random voxels, up to 45 of 100 of them,
-    in 15 of 100 thin plates with slits; in 35 of 100 a layer of air at the top, in 15 of 100 a wavy surface.
+    Up to eight ellipsoids and turned boxes, down to a voxel thin; in a part `hard` of all instead random solid voxels,
+    up to 45 of 100 in two dimensions and 55 in three, or as often thin plates with slits; in 35 of 100 a layer of air
+    at the top, in 15 of 100 a wavy surface.
     """
+    most_solids = 0.45 if len(shape) == 2 else 0.55
     while True:
         labels = np.full(shape, FLUID, dtype=np.uint8)
-        hard = rng.random()
-        if hard < _POROUS:
-            labels[rng.random(shape) < rng.uniform(0.05, 0.45)] = SOLID
-        elif hard < _POROUS + _PLATES:
+        of_hard = rng.random() / max(hard, 1e-9)
+        if of_hard < 0.5:
+            labels[rng.random(shape) < rng.uniform(0.05, most_solids)] = SOLID
+        elif of_hard < 1.0:
             _put_plates(labels, rng)
         else:
             for _ in range(int(rng.integers(0, 9))):

@@ -9,7 +9,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from femdeform.flow.pressure_system import FLUID, PressureSystem
+from femdeform.errors import InputError
+from femdeform.flow.pressure_system import FLUID, GridArray, PressureSystem
+from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.dcdm import DeepConjugateDirections
 from solvers.linear.poisson.dcdm_network import (
     Architecture,
@@ -19,39 +21,47 @@ from solvers.linear.poisson.dcdm_network import (
     network_masks,
 )
 from solvers.linear.poisson.interface import PoissonSolver
+from solvers.linear.poisson.multigrid import Multigrid
 from solvers.linear.poisson.training.domains import random_labels
 from solvers.linear.poisson.training.learn_lmg import dots, over
 from solvers.linear.poisson.training.ritz import ritz_pairs, ritz_right_sides
 from solvers.linear.poisson.training.settings import MODELS, TrainingSettings
+from solvers.linear.poisson.weights_file import load_weights
 
 _POOL = 48
 _FRESH = 0.03
 # An error that has become so small in the energy norm is replaced.
 _REDUCED = 3e-5
 _OBSTACLES = 0.6
+# Domains with solids whose air, if any, is not at the top.
+_TURNED = 0.25
+# Multigrid finds the first error of a sample to this part of its residual.
+_EXACT, _MOST = 1e-6, 200
 _TINY = 1e-20
 
 
 class TorchOperations:
     """Operations on (batch, channels, ..) tensors; kernels are stored as NumPy has them, (3, .., in, out)."""
 
-    def convolve(self, x: Tensor, kernel: Tensor, bias: Tensor | None) -> Tensor:
-        """Convolution with zeros outside of the grid."""
-        convolve = torch.nn.functional.conv2d if x.dim() == 4 else torch.nn.functional.conv3d
-        return convolve(x, kernel.movedim((-1, -2), (0, 1)), bias, padding=kernel.shape[0] // 2)
-
-    def relu(self, x: Tensor) -> Tensor:
-        """The positive part."""
-        return torch.relu(x)
+    def convolve(self, x: Tensor, kernel: Tensor, bias: Tensor | None, is_cut: bool, plus: Tensor | None) -> Tensor:
+        """Convolution with zeros outside of the grid, its positive part if `is_cut`, and then the sum with `plus`."""
+        flat = x.dim() == 4
+        convolve = torch.nn.functional.conv2d if flat else torch.nn.functional.conv3d
+        # Channels last is the faster order for few channels; what follows keeps it.
+        x = x.contiguous(memory_format=torch.channels_last if flat else torch.channels_last_3d)
+        out = convolve(x, kernel.movedim((-1, -2), (0, 1)), bias, padding=kernel.shape[0] // 2)
+        out = torch.relu(out) if is_cut else out
+        return out if plus is None else out + plus
 
     def halve(self, x: Tensor) -> Tensor:
         """Means of 2^dim voxels."""
         pool = torch.nn.functional.avg_pool2d if x.dim() == 4 else torch.nn.functional.avg_pool3d
         return pool(x, 2)
 
-    def double(self, x: Tensor) -> Tensor:
-        """The nearest value on the finer grid."""
-        return torch.nn.functional.interpolate(x, scale_factor=2, mode="nearest")
+    def double(self, x: Tensor, plus: Tensor | None) -> Tensor:
+        """The nearest value on the finer grid, and the sum with `plus`."""
+        out = torch.nn.functional.interpolate(x, scale_factor=2, mode="nearest")
+        return out if plus is None else out + plus
 
 
 class _Domains:
@@ -67,7 +77,7 @@ class _Domains:
         device = self.diagonal.device
         inner = system.diagonal[1:-1, 1:-1, 1:-1].reshape(labels.shape)
         self.diagonal[slot] = torch.as_tensor(inner.astype(np.float32), device=device)
-        self.masks[slot] = torch.as_tensor(np.moveaxis(network_masks(system), -1, 0), device=device)
+        self.masks[slot] = torch.as_tensor(network_masks(system), device=device)
         self.inverse_counts[slot] = 1.0 / system.n_unknowns if system.n_closed else 0.0
 
     def times(self, slots: Tensor, x: Tensor) -> Tensor:
@@ -86,13 +96,50 @@ class _Domains:
         return (x - over(x.flatten(1).sum(dim=1) * self.inverse_counts[slots], x)) * unknown
 
 
+def _start(settings: TrainingSettings, architecture: Architecture) -> dict[str, NDArray[np.float32]]:
+    """Weights of a file for this network."""
+    weights = load_weights(str(settings.start), "dcdm", settings.dim)
+    if Architecture(settings.dim, **weights.meta["architecture"]) != architecture:
+        raise InputError(f"--start: {settings.start} holds weights of another network than --model {settings.model}")
+    return weights.parameters
+
+
+def _turned(labels: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """The domain with its axes permuted and mirrored: air on any side."""
+    turned = np.transpose(labels, rng.permutation(labels.ndim))
+    return np.ascontiguousarray(turned[tuple(slice(None, None, int(rng.choice((-1, 1)))) for _ in labels.shape)])
+
+
+def _right_side(system: PressureSystem, rng: np.random.Generator) -> GridArray:
+    """Random cosine coefficients of random decay, from rough to smooth, half of them under a window."""
+    from scipy.fft import idctn
+
+    shape = system.shape[: system.dim]
+    waves = np.indices(shape)
+    value = sum(2.0 - 2.0 * np.cos(np.pi * waves[axis] / shape[axis]) for axis in range(len(shape)))
+    value.flat[0] = 1.0
+    coefficients = rng.standard_normal(shape) * value ** -rng.uniform(-0.2, 0.8)
+    coefficients.flat[0] = 0.0
+    values = idctn(coefficients, norm="ortho")
+    if rng.random() < 0.5:
+        places = np.moveaxis(waves, 0, -1) - rng.random(len(shape)) * shape
+        width = rng.uniform(0.08, 0.4) * shape[0]
+        values *= np.exp(-0.5 * (places**2).sum(axis=-1) / width**2)
+    b = system.new_field()
+    b[1:-1, 1:-1, 1:-1] = values.reshape(system.shape)
+    b[~system.unknown] = 0.0
+    system.project(b)
+    return b
+
+
 class DCDMLearner:
     """Both routes of training deep conjugate directions.
 
     *On policy*: each sample of a pool is a domain, an error e, its residual r = A e and the last direction. A step
     finds a direction q from r, makes it A-orthogonal to the last one, and the loss is the factor of the energy norm of
-    e, ``sqrt(1 - (r.q)^2/((q.A q)(e.r)))``; then e moves on by that very step. Errors start with random cosine
-    coefficients of random decay, half of them under a window, on the empty box or on a domain with solids and air.
+    e, ``sqrt(1 - (r.q)^2/((q.A q)(e.r)))``; then e moves on by that very step. A sample starts with a right-hand side
+    of random cosine coefficients of random decay, half of them under a window, in the empty box or in a domain with
+    solids and air, whose error multigrid finds.
 
     *Ritz*, the source's: right-hand sides b that are random sums of Ritz vectors of the empty box, loss
     ``|b - alpha A f(b)|`` with b of unit length.
@@ -106,6 +153,8 @@ class DCDMLearner:
         self._generator = torch.Generator().manual_seed(settings.seed)
         self.architecture = Architecture(settings.dim, **MODELS[settings.model])
         start = glorot_parameters(self.architecture, self._rng)
+        if settings.start is not None:
+            start = _start(settings, self.architecture)
         self.parameters = {name: torch.tensor(v, device=settings.device) for name, v in start.items()}
         self._operations = TorchOperations()
         if settings.route == "ritz":
@@ -133,7 +182,10 @@ class DCDMLearner:
         x = (r * over(scale, r)).unsqueeze(1)
         if self.architecture.masks:
             x = torch.cat([x, self._domains.masks[slots]], 1)
-        return self._domains.project(slots, evaluate(self.architecture, self.parameters, x, self._operations)[:, 0])
+        kind = torch.device(self._settings.device).type
+        with torch.autocast(kind, torch.bfloat16, enabled=self._settings.precision == "bfloat16"):
+            answer = evaluate(self.architecture, self.parameters, x, self._operations)
+        return self._domains.project(slots, answer[:, 0].float())
 
     def _policy_loss(self) -> Tensor:
         slots = torch.randperm(_POOL, generator=self._generator)[: self._settings.batch].to(self._settings.device)
@@ -161,26 +213,19 @@ class DCDMLearner:
 
     def _renew(self, slot: int) -> None:
         """A new domain and a new error."""
-        from scipy.fft import idctn
-
         shape, rng = self._settings.shape, self._rng
-        box = np.full(shape, FLUID, dtype=np.uint8)
-        self._labels[slot] = random_labels(shape, rng) if rng.random() < _OBSTACLES else box
-        self._domains.put(slot, self._labels[slot])
-        waves = np.indices(shape)
-        value = sum(2.0 - 2.0 * np.cos(np.pi * waves[axis] / shape[axis]) for axis in range(len(shape)))
-        value.flat[0] = 1.0
-        coefficients = rng.standard_normal(shape) * value ** -rng.uniform(-0.2, 0.8) / value
-        coefficients.flat[0] = 0.0
-        e = idctn(coefficients, norm="ortho")
-        if rng.random() < 0.5:
-            places = np.moveaxis(waves, 0, -1) - rng.random(len(shape)) * shape
-            width = rng.uniform(0.08, 0.4) * shape[0]
-            e *= np.exp(-0.5 * (places**2).sum(axis=-1) / width**2)
-        device = self._settings.device
-        slots = torch.tensor([slot], device=device)
-        start = self._domains.project(slots, torch.as_tensor(e[None].astype(np.float32), device=device))
-        self._errors[slot] = start[0] / start.abs().max().clamp(min=_TINY)
+        labels = np.full(shape, FLUID, dtype=np.uint8)
+        if rng.random() < _OBSTACLES:
+            labels = random_labels(shape, rng, self._settings.hard_part)
+            if rng.random() < _TURNED:
+                labels = _turned(labels, rng)
+        self._labels[slot] = labels
+        self._domains.put(slot, labels)
+        system = PressureSystem(labels)
+        b = _right_side(system, rng)
+        e = ConjugateGradients(system, Multigrid(system)).solve(b, _EXACT, _MOST).x[1:-1, 1:-1, 1:-1].reshape(shape)
+        start = torch.as_tensor((e / max(np.abs(e).max(), _TINY)).astype(np.float32), device=self._settings.device)
+        self._errors[slot] = start
         self._directions[slot], self._products[slot], self._energy[slot] = 0.0, 0.0, 1.0
 
     def _ritz_loss(self) -> Tensor:

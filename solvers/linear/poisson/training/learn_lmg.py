@@ -17,6 +17,7 @@ from solvers.linear.poisson.spd_lmg import LearnedMultigrid
 from solvers.linear.poisson.training.domains import random_labels
 from solvers.linear.poisson.training.settings import TrainingSettings
 from solvers.linear.poisson.training.torch_cycle import BatchCycle, domain_levels
+from solvers.linear.poisson.weights_file import load_weights
 
 # Batches of domains that take turns, and steps until one is made anew.
 _GROUPS = 3
@@ -55,13 +56,15 @@ class LMGLearner:
         self._settings = settings
         self._rng = np.random.default_rng(settings.seed)
         start = network.start_parameters(settings.dim, self._rng)
+        if settings.start is not None:
+            start = load_weights(str(settings.start), "spd_lmg", settings.dim).parameters
         self.parameters = {name: torch.tensor(v, device=settings.device) for name, v in start.items()}
         self._groups = [self._new_group() for _ in range(_GROUPS)]
         self._turn = 0
 
     def _new_group(self) -> _Group:
         settings = self._settings
-        labels = [random_labels(settings.shape, self._rng) for _ in range(settings.batch)]
+        labels = [random_labels(settings.shape, self._rng, settings.hard_part) for _ in range(settings.batch)]
         group = _Group(labels, None, int(self._rng.integers(*_LIFETIME)), settings.device)
         noise = self._rng.standard_normal(group.errors.shape).astype(np.float32)
         group.errors = group.project(torch.as_tensor(noise, device=settings.device))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,9 +24,10 @@ from solvers.linear.poisson.training.settings import TrainingSettings
 CHECKPOINT = "checkpoint.pt"
 TOLERANCE = 1e-4
 # Validations and checkpoints in a run.
-_VALIDATIONS = 20
-_MOST_ITERATIONS = 80
+_VALIDATIONS = 8
+MOST_ITERATIONS = 80
 _CLIP = 1.0
+_WARM_UP = 0.02
 
 
 class Learner(Protocol):
@@ -48,6 +51,21 @@ class Learner(Protocol):
         """Take what `state` returned."""
 
 
+def _commit() -> str:
+    """Of the source, where it lies in a repository."""
+    folder = Path(__file__).parent
+    try:
+        run = subprocess.run(
+            ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=12"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return run.stdout.strip()
+
+
 @dataclass
 class Progress:
     """How far a run has come.
@@ -62,6 +80,8 @@ class Progress:
         Mean iterations on the validation systems, with a fraction for the last one.
     start, best : dict of str to array
         Parameters at the start, and those of the validation with the fewest iterations.
+    commit : str
+        Of the source that began to train, where it lies in a repository.
     """
 
     step: int = 0
@@ -70,6 +90,7 @@ class Progress:
     validations: list[tuple[int, float]] = field(default_factory=list)
     start: dict[str, NDArray[Any]] = field(default_factory=dict)
     best: dict[str, NDArray[Any]] = field(default_factory=dict)
+    commit: str = field(default_factory=_commit)
 
     @property
     def best_step(self) -> int:
@@ -102,7 +123,7 @@ def run_training(
     for values in learner.parameters.values():
         values.requires_grad_(True)
     optimizer = torch.optim.Adam(list(learner.parameters.values()), lr=settings.rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, settings.steps))
     progress = Progress()
     if resume:
         progress = _restore(settings, learner, optimizer, schedule)
@@ -129,6 +150,11 @@ def run_training(
     return progress
 
 
+def _rate(step: int, steps: int) -> float:
+    """Part of the learning rate: it rises for a fiftieth of the steps, as first gradients say little, then falls."""
+    return min(1.0, (step + 1) / (_WARM_UP * steps)) * 0.5 * (1.0 + math.cos(math.pi * step / steps))
+
+
 def _is_late(settings: TrainingSettings, progress: Progress) -> bool:
     return settings.minutes is not None and progress.seconds > 60.0 * settings.minutes
 
@@ -143,7 +169,7 @@ def validation_systems(settings: TrainingSettings) -> list[PressureSystem]:
     rng = np.random.default_rng(987_654)
     labels = [np.full(settings.shape, FLUID, dtype=np.uint8)]
     labels += [blob_labels(settings.shape, is_open, seed=21) for is_open in (False, True)]
-    labels += [random_labels(settings.shape, rng) for _ in range(4)]
+    labels += [random_labels(settings.shape, rng, settings.hard_part) for _ in range(4)]
     return [PressureSystem(each) for each in labels]
 
 
@@ -154,7 +180,7 @@ def fractional_iterations(residuals: list[float], tolerance: float) -> float:
     below = np.flatnonzero(logs <= target)
     if below.size == 0:
         slope = min(logs[-1] / max(len(logs) - 1, 1), -1e-3)
-        return float(target / slope) if np.isfinite(slope) else float(1e3 * _MOST_ITERATIONS)
+        return float(target / slope) if np.isfinite(slope) else float(1e3 * MOST_ITERATIONS)
     k = int(below[0])
     return float(k - 1 + (target - logs[k - 1]) / (logs[k] - logs[k - 1])) if k else 0.0
 
@@ -163,7 +189,7 @@ def _validate(learner: Learner, systems: list[PressureSystem], progress: Progres
     parameters = arrays(learner)
     counts = []
     for seed, system in enumerate(systems):
-        answer = learner.solver(system, parameters).solve(smooth_divergence(system, seed), TOLERANCE, _MOST_ITERATIONS)
+        answer = learner.solver(system, parameters).solve(smooth_divergence(system, seed), TOLERANCE, MOST_ITERATIONS)
         counts.append(fractional_iterations(answer.residuals, TOLERANCE))
     mean = float(np.mean(counts))
     if not progress.validations or mean < min(each[1] for each in progress.validations):

@@ -40,6 +40,12 @@ class TrainingSettings:
         Steps of Lanczos on the route of Ritz vectors.
     samples : int
         Right-hand sides on that route.
+    start : Path or None
+        Weights to start from; None for random ones.
+    precision : str
+        DCDM only: of the network while it is trained, ``float32`` or ``bfloat16``. Parameters stay in the former.
+    hard : float or None
+        Part of the domains with solids that are porous or have thin plates; None for a tenth (DCDM) or three tenths.
     """
 
     kind: Kind
@@ -56,15 +62,25 @@ class TrainingSettings:
     model: str = "masks"
     lanczos: int = 1000
     samples: int = 20000
+    start: Path | None = None
+    precision: Literal["float32", "bfloat16"] = "float32"
+    hard: float | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Of the grid."""
         return (self.cells,) * self.dim
 
+    @property
+    def hard_part(self) -> float:
+        """Part of the domains with solids that are hard."""
+        if self.hard is not None:
+            return self.hard
+        return {"dcdm": 0.1, "spd_lmg": 0.3}[self.kind]
+
     def facts(self) -> dict[str, Any]:
         """For files that say how weights came about: all but the folder."""
-        facts = asdict(self)
+        facts = asdict(self) | {"start": None if self.start is None else str(self.start)}
         del facts["out"]
         return facts
 

@@ -35,7 +35,7 @@ def domain_levels(system: PressureSystem) -> list[LevelArrays]:
         values = shares = None
         if k + 1 < len(levels):
             values = np.moveaxis(network.features(diagonal, weights, system.dim), -1, 0)
-            shares = network.parent_shares(diagonal, levels[k + 1].diagonal, system.dim)
+            shares = network.parent_shares(diagonal, weights, levels[k + 1].diagonal, system.dim)
         arrays = [diagonal, np.stack(weights[: system.dim]), values, shares]
         if system.dim == 2:
             arrays = [None if a is None else a[..., 1] for a in arrays]
