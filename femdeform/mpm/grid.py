@@ -114,8 +114,16 @@ class Grid:
         self.spacing = float(spacing)
         self.degree = DEGREES[kernel]
 
-    def stencils(self, points: FloatArray) -> Stencils:
+    def stencils(self, points: FloatArray, n_carriers: int | None = None) -> Stencils:
         """Weights of points (n_points, dim) and the nodes they make active.
+
+        Parameters
+        ----------
+        points : (n_points, dim) float64
+            [m].
+        n_carriers : int, optional
+            Only this many of the points make nodes active; others have no weight and no gradient at other nodes.
+            Default: all.
 
         Raises
         ------
@@ -142,7 +150,10 @@ class Grid:
         numbers = np.searchsorted(touched, own[:, None] + shift)[of_point.ravel()]
         # Nodes at which every weight vanishes, at knots of the splines, carry no mass.
         is_active = np.zeros(touched.size, dtype=bool)
-        is_active[numbers[weights > 0.0]] = True
+        is_active[numbers[:n_carriers][weights[:n_carriers] > 0.0]] = True
+        if n_carriers is not None:
+            lost = ~is_active[numbers]
+            weights[lost], gradients[lost] = 0.0, 0.0
         renumbered = np.where(is_active, np.cumsum(is_active) - 1, 0)
         nodes = np.where(weights > 0.0, renumbered[numbers], 0).astype(np.int32)
         active = touched[is_active]

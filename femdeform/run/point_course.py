@@ -78,6 +78,8 @@ class PointCourse:
         self._measured: dict[str, float] = {}
         self.writer = VTPWriter()
         self.start = PointState(make_points(scene, given.meshes))
+        if scene.surface.comparison is not None:
+            self.notices.append("surface.comparison: a scheme to compare with, which loses momentum")
         self._limit = self._longest_step()
         if self._limit < scene.time.dt:
             what = "explicit steps" if solver is None else "steps with surface tension"

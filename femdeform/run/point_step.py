@@ -106,6 +106,7 @@ class PointStep:
         )
         self._samples_surface = self.has_tension or exchanges
         surface = scene.surface
+        self._massless = surface.comparison == "massless_samples"
         self._sampler = SurfaceSampler(scene.grid.cell_size, surface.density, surface.radius, surface.seed)
         heat = scene.heat
         offset = None
@@ -216,6 +217,7 @@ class PointStep:
             time=time,
             transfer=scene.transfer.scheme,
             flip=scene.transfer.flip,
+            massless=self._massless,
         )
         return done.particles, PointReport(True, "", n_nodes=done.mass.size, n_bounded=done.n_bounded)
 
@@ -225,7 +227,8 @@ class PointStep:
         scene = self.scene
         assert self._solver is not None
         tense = surface if self.has_tension else None
-        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid)
+        samples = None if tense is None else tense.samples
+        groups = Groups.split(points.x, points.mass, samples, self._grid, self._massless)
         is_affine = scene.transfer.scheme in ("apic", "group_apic")
         affine = points.affine if is_affine else np.zeros_like(points.affine)
         mass, velocity = groups.to_grid(points.v, affine, scene.transfer.scheme == "group_apic")
