@@ -143,6 +143,21 @@ def test_steps_with_samples(dim: int, transfer: Any, is_liquid: bool) -> None:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
+def test_forces_at_the_edge_of_a_stencil_add_up_to_nothing(dim: int) -> None:
+    """Weights of 1e-16 are left out as rounding; their gradients are 1e-8 of the others, and forces go with those."""
+    particles, samples = drop(dim)
+    knots = (np.floor(samples.points / DX) + 0.5) * DX
+    samples = replace(samples, points=knots + 1.5e-8 * DX)
+    groups = Groups.split(particles.x, particles.mass, samples, GRID)
+    rows = groups.samples
+    assert ((groups.stencils.weights[rows] == 0.0) & (np.abs(groups.stencils.gradients[rows]).max(axis=2) > 1e-9)).any()
+    forces = surface_forces(groups, samples, np.full(samples.n, 0.2))
+    same(forces.sum(axis=0), 0.0, scale=float(np.abs(forces).max()))
+    torque = turning(groups.stencils.positions, forces)
+    same(torque, 0.0, scale=float(np.abs(forces).max()))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
 def test_samples_without_mass(dim: int) -> None:
     """Their transfers keep everything; nodes that only they reach are not there, and forces on those are lost."""
     particles, samples = drop(dim)
