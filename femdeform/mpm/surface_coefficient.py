@@ -53,7 +53,7 @@ class SurfaceTension:
     liquid_gas : TemperatureFunction
         k_LG [N/m].
     solid_liquid : TemperatureFunction, optional
-        k_SL of samples on a wall [N/m], of either sign; default that of the free surface.
+        k_SL of samples below a wall [N/m], of either sign; default that of the free surface.
     regions : tuple of (Region, TemperatureFunction)
         Other k_LG for samples in a region; the first region that has a sample counts.
     on_solid : bool
@@ -74,12 +74,12 @@ class SurfaceCoefficients:
     ----------
     k : (n_samples,) float64
         [N/m].
-    wetted : (n_samples,) float64
-        Part of the sample that is between liquid and a wall [-], of bodies that have a k_SL.
+    is_on_wall : (n_samples,) bool
+        Whether the sample is between liquid and wall.
     """
 
     k: FloatArray
-    wetted: FloatArray
+    is_on_wall: BoolArray
 
 
 def sample_temperatures(samples: SurfaceSamples, particles: Particles) -> FloatArray:
@@ -89,27 +89,11 @@ def sample_temperatures(samples: SurfaceSamples, particles: Particles) -> FloatA
     return np.asarray(particles.temperature[samples.owner] + np.einsum("ra,ra->r", slope, apart))
 
 
-def wetted_parts(walls: Sequence[MovingWall], samples: SurfaceSamples, time: float) -> FloatArray:
-    """Part of each sample that lies between liquid and a wall (n_samples,) [-]: below it, as the wall sees it.
-
-    The contour passes below a wall by half a cell. Liquid and wall meet on its projection ``-n . n_wall`` onto it;
-    the rest is upright, and free. Taken for wetted as well, surfaces of a gap below the wall would have a negative
-    energy where k_SL < 0: it would pay to be cut off from the liquid.
-
-    Parameters
-    ----------
-    walls : sequence of MovingWall
-        In any number.
-    samples : SurfaceSamples
-        Samples of the surface.
-    time : float
-        At which the walls are where they are [s].
-    """
-    out = np.zeros(samples.n)
+def wall_distance(walls: Sequence[MovingWall], points: FloatArray, time: float) -> FloatArray:
+    """Distances (n,) [m] of positions (n, dim) from the closest wall at a time [s], negative inside; inf without."""
+    out = np.full(len(points), np.inf)
     for wall in walls:
-        distance, normals = wall.shape.distance(samples.points - wall.velocity * time)
-        facing = -np.einsum("ra,ra->r", samples.normals, normals)
-        out = np.maximum(out, np.where(distance < 0.0, np.clip(facing, 0.0, 1.0), 0.0))
+        out = np.minimum(out, wall.shape.distance(points - wall.velocity * time)[0])
     return out
 
 
@@ -117,7 +101,7 @@ def surface_coefficients(
     samples: SurfaceSamples,
     particles: Particles,
     tensions: Sequence[SurfaceTension | None],
-    wetted: FloatArray | None = None,
+    distance: FloatArray | None = None,
 ) -> SurfaceCoefficients:
     """Coefficients of all samples.
 
@@ -129,8 +113,8 @@ def surface_coefficients(
         Their owners.
     tensions : sequence of SurfaceTension or None
         One for each body; None for one without tension.
-    wetted : (n_samples,) float64, optional
-        Parts of the samples on a wall (`wetted_parts`). Default: none.
+    distance : (n_samples,) float64, optional
+        Of the samples from the walls (`wall_distance`); those below zero lie on a wall. Default: there is none.
 
     Raises
     ------
@@ -142,9 +126,9 @@ def surface_coefficients(
         raise ValueError(f"there are {len(tensions)} tensions, and a body has number {int(particles.body.max())}")
     temperature = sample_temperatures(samples, particles)
     body, is_liquid = particles.body[samples.owner], particles.phase[samples.owner] == LIQUID
-    parts = np.zeros(samples.n) if wetted is None else wetted
+    below = np.zeros(samples.n, dtype=bool) if distance is None else distance < 0.0
     k = np.zeros(samples.n)
-    on_wall = np.zeros(samples.n)
+    on_wall = np.zeros(samples.n, dtype=bool)
     for number, tension in enumerate(tensions):
         if tension is None:
             continue
@@ -159,13 +143,12 @@ def surface_coefficients(
         _require(free >= 0.0, "k_LG", free, "a surface of negative tension grows without bounds")
         k[mine] = free
         if tension.solid_liquid is not None:
-            part = parts[mine]
-            wet = part > 0.0
+            wet = below[mine]
             solid_liquid = tension.solid_liquid(T[wet])
             total = solid_liquid + free[wet]
             _require(total >= 0.0, "k_SL + k_LG", total, "a film on the wall grows without bounds")
-            k[mine[wet]] = part[wet] * solid_liquid + (1.0 - part[wet]) * free[wet]
-            on_wall[mine] = part
+            k[mine[wet]] = solid_liquid
+            on_wall[mine[wet]] = True
     return SurfaceCoefficients(k, on_wall)
 
 

@@ -21,7 +21,7 @@ from femdeform.mpm.phase_change import change_phase, recover_temperature
 from femdeform.mpm.point_potential import PointPotential
 from femdeform.mpm.point_terms import SurfaceTension
 from femdeform.mpm.rigid_walls import RigidWall
-from femdeform.mpm.surface_coefficient import surface_coefficients, wetted_parts
+from femdeform.mpm.surface_coefficient import surface_coefficients, wall_distance
 from femdeform.mpm.surface_forces import surface_forces
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
@@ -163,8 +163,8 @@ class PointStep:
         samples = self._sampler.sample(points.x, step)
         k = np.zeros(samples.n)
         if self.has_tension:
-            wetted = wetted_parts(self.walls, samples, time)
-            k = surface_coefficients(samples, points, self.materials.tensions, wetted).k
+            distance = wall_distance(self.walls, samples.points, time)
+            k = surface_coefficients(samples, points, self.materials.tensions, distance).k
         return _Surface(samples, k)
 
     def _conduct(self, points: Particles, surface: _Surface | None, time: float, dt: float) -> HeatReport:

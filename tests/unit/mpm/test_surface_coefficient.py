@@ -14,7 +14,7 @@ from femdeform.mpm.surface_coefficient import (
     sample_temperatures,
     solid_liquid_coefficient,
     surface_coefficients,
-    wetted_parts,
+    wall_distance,
 )
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
@@ -52,53 +52,31 @@ def test_body_temperature_and_region_choose_the_coefficient() -> None:
     np.testing.assert_allclose(found.k[~second], 1.0 + 0.4 * y[~second])
     expected = np.where(y > 0.2, 0.0, np.where(y > 0.1, 7.0, 0.5))
     np.testing.assert_array_equal(found.k[second], expected[second])
-    assert not found.wetted.any()
+    assert not found.is_on_wall.any()
     alone = surface_coefficients(samples, particles, [None, tensions[1]])
     np.testing.assert_array_equal(alone.k, np.where(second, found.k, 0.0))
     with pytest.raises(ValueError, match="a body has number 1"):
         surface_coefficients(samples, particles, tensions[:1])
 
 
-def test_samples_below_a_wall_that_face_it_are_between_solid_and_liquid() -> None:
+def test_samples_below_a_wall_are_between_solid_and_liquid() -> None:
     particles, samples = drop()
     walls = [
         Wall(Plane(np.array([0.0, -0.2]), np.array([0.0, 1.0])), np.zeros(2), 0.0),
         Wall(Sphere(np.array([0.4, 1.0]), 0.2, inside=False), np.array([0.0, -0.5]), 0.0),
     ]
-    wetted = wetted_parts(walls, samples, 1.6)
-    apart = samples.points - [0.4, 0.2]
-    length = np.linalg.norm(apart, axis=1)
-    floor = np.where(samples.points[:, 1] < -0.2, -samples.normals[:, 1], 0.0)
-    ball = np.where(length < 0.2, -np.einsum("ra,ra->r", samples.normals, apart) / length, 0.0)
-    np.testing.assert_allclose(wetted, np.maximum(np.maximum(floor, ball), 0.0), atol=1e-14)
-    assert (floor > 0.5).any()
-    assert ((ball > 0.5) & (floor <= 0.0)).any()
+    distance = wall_distance(walls, samples.points, 1.6)
+    moved = np.linalg.norm(samples.points - [0.4, 0.2], axis=1) - 0.2
+    np.testing.assert_allclose(distance, np.minimum(samples.points[:, 1] + 0.2, moved))
     tension = SurfaceTension(Constant(2.0), solid_liquid=Constant(-1.0))
-    found = surface_coefficients(samples, particles, [tension, tension], wetted)
-    np.testing.assert_array_equal(found.wetted, wetted)
-    np.testing.assert_allclose(found.k, 2.0 - 3.0 * wetted)
+    found = surface_coefficients(samples, particles, [tension, tension], distance)
+    assert 0 < found.is_on_wall.sum() < samples.n
+    np.testing.assert_array_equal(found.is_on_wall, distance < 0.0)
+    np.testing.assert_array_equal(found.k, np.where(distance < 0.0, -1.0, 2.0))
     # Without a coefficient of its own a wet wall is as the free surface; without walls there is no wet wall.
-    same = surface_coefficients(samples, particles, [SurfaceTension(Constant(2.0))] * 2, wetted)
+    same = surface_coefficients(samples, particles, [SurfaceTension(Constant(2.0))] * 2, distance)
     np.testing.assert_array_equal(same.k, 2.0)
-    assert not wetted_parts([], samples, 0.0).any()
-
-
-@pytest.mark.parametrize("height", [-0.049, 0.0, 0.05])
-@pytest.mark.parametrize("angle", [30.0, 45.0, 90.0])
-def test_a_point_alone_at_a_wall_gains_nothing_by_being_cut_off(height: float, angle: float) -> None:
-    """The energy of its surface is above zero, also where it has sunk into the wall by half a cell."""
-    x = np.array([[0.513, height]])
-    particles = Particles.at(x, np.ones(1), np.ones(1))
-    particles.phase[:] = LIQUID
-    wall = Wall(Plane(np.zeros(2), np.array([0.0, 1.0])), np.zeros(2), 0.0)
-    samples = SurfaceSampler(0.1, density=50.0).sample(x, 0)
-    tension = SurfaceTension(Constant(1.0), Constant(solid_liquid_coefficient(np.deg2rad(angle), 1.0)))
-    found = surface_coefficients(samples, particles, [tension], wetted_parts([wall], samples, 0.0))
-    assert found.wetted.any()
-    assert found.k @ samples.measure > 0.0
-    # All that is below the wall taken for wetted, it is negative for a good wetting that is well below.
-    below = surface_coefficients(samples, particles, [tension], 1.0 * (samples.points[:, 1] < 0.0))
-    assert (below.k @ samples.measure < 0.0) == (height < -0.04 and angle < 50.0)
+    assert np.all(np.isinf(wall_distance([], samples.points, 0.0)))
 
 
 def test_solid_points_have_no_tension_unless_asked() -> None:
@@ -117,12 +95,12 @@ def test_tension_without_a_lower_bound_of_energy_is_refused() -> None:
     particles, samples = drop()
     with pytest.raises(ValueError, match=r"k_LG = -0\.1 N/m"):
         surface_coefficients(samples, particles, [SurfaceTension(Constant(-0.1))] * 2)
-    wet = np.ones(samples.n)
+    wet = np.full(samples.n, -1.0)
     film = SurfaceTension(Constant(1.0), solid_liquid=Constant(-1.5))
     with pytest.raises(ValueError, match="film on the wall"):
         surface_coefficients(samples, particles, [film] * 2, wet)
     # Off the wall it does not matter.
-    assert surface_coefficients(samples, particles, [film] * 2, 0.0 * wet).k.min() == 1.0
+    assert surface_coefficients(samples, particles, [film] * 2, -wet).k.min() == 1.0
 
 
 @pytest.mark.parametrize("degrees", [0.0, 45.0, 90.0, 135.0, 180.0])
