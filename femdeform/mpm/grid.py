@@ -132,8 +132,16 @@ class Grid:
         self.spacing = float(spacing)
         self.degree = DEGREES[kernel]
 
-    def stencils(self, points: FloatArray) -> Stencils:
+    def stencils(self, points: FloatArray, n_carriers: int | None = None) -> Stencils:
         """Weights of points (n_points, dim) and the nodes they make active.
+
+        Parameters
+        ----------
+        points : (n_points, dim) float64
+            [m].
+        n_carriers : int, optional
+            Only this many of the points make nodes active; others have no weight and no gradient at other nodes.
+            Default: all.
 
         Raises
         ------
@@ -157,6 +165,11 @@ class Grid:
         touched, cell_nodes, cell_of_point = _numbered((base - low) @ strides, shift, int(np.prod(extent)))
         nodes = np.empty((n, side**dim), dtype=np.int32)
         stencil_kernels.node_numbers(cell_nodes, cell_of_point, weights, nodes)
+        if n_carriers is not None:
+            is_carried = np.zeros(touched.size, dtype=bool)
+            is_carried[nodes[:n_carriers][weights[:n_carriers] > 0.0]] = True
+            lost = ~is_carried[nodes]
+            weights[lost], gradients[lost] = 0.0, 0.0
         counts = np.empty((_PARTS, touched.size), dtype=np.int64)
         stencil_kernels.count_entries(nodes, weights, counts)
         # Nodes at which every weight vanishes, at knots of the splines, carry no mass.

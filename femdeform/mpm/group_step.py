@@ -60,6 +60,7 @@ def explicit_step(
     time: float = 0.0,
     transfer: GroupTransfer = "apic",
     flip: float = 0.95,
+    massless: bool = False,
 ) -> GroupStep:
     """Advance points by one symplectic Euler step.
 
@@ -88,9 +89,11 @@ def explicit_step(
         ``pic``, ``flip``, ``apic``, or ``group_apic``, see `mpm.groups`.
     flip : float
         Part of FLIP in its blend with PIC [-].
+    massless : bool
+        Samples without mass, for comparison, see `mpm.groups`.
     """
     if groups is None:
-        groups = Groups.split(particles.x, particles.mass, samples, grid)
+        groups = Groups.split(particles.x, particles.mass, samples, grid, massless)
     is_affine = transfer in ("apic", "group_apic")
     affine = particles.affine if is_affine else np.zeros_like(particles.affine)
     mass, before = groups.to_grid(particles.v, affine, transfer == "group_apic")

@@ -11,10 +11,13 @@ The plain scheme takes it as the affine velocity A_p of each member; ``group_api
 second moment D_p of the group, and offsets from x_p: it conserves the same, and reproduces an affine velocity exactly,
 where the plain scheme makes it larger at points with samples.
 
+Samples without mass are there for comparison: points are alone, samples only receive forces. Nodes that only samples
+reach have no mass, so the forces there are lost, and with them the momentum.
+
 References
 ----------
 D. Hyde, S. Gagniere, A. Marquez-Razon, J. Teran, An implicit updated Lagrangian formulation for liquids with large
-surface energy (2020), for samples and mirror images without mass.
+surface energy (2020), for samples without mass.
 """
 
 from __future__ import annotations
@@ -41,13 +44,16 @@ class Groups:
     mass : (n_points,) float64
         Of the points [kg].
     positions : (n_members, dim) float64
-        Members: all points, then all samples, then their mirror images in the order of the samples [m].
+        Members: all points, then all samples, then their mirror images in the order of the samples [m]; there are no
+        images of samples without mass.
     owner : (n_members,) int64
         Point of each member.
     sizes : (n_points,) int64
-        Number of members of each group.
+        Number of members of each group that have mass.
     stencils : Stencils
         Of all members.
+    massless : bool
+        Whether samples have no mass, for comparison.
     """
 
     mass: FloatArray
@@ -55,10 +61,15 @@ class Groups:
     owner: IntArray
     sizes: IntArray
     stencils: Stencils
+    massless: bool = False
 
     @classmethod
-    def split(cls, x: FloatArray, mass: FloatArray, samples: SurfaceSamples | None, grid: Grid) -> Groups:
+    def split(
+        cls, x: FloatArray, mass: FloatArray, samples: SurfaceSamples | None, grid: Grid, massless: bool = False
+    ) -> Groups:
         """Groups of points x (n, dim) with masses (n,); without samples each point is alone.
+
+        Samples that are `massless` have no images, and no nodes but those of the points.
 
         Raises
         ------
@@ -72,7 +83,11 @@ class Groups:
         positions = np.array(x, dtype=float)
         if samples is not None and samples.n:
             near = samples.owner
-            positions = np.concatenate([positions, samples.points, 2.0 * positions[near] - samples.points])
+            images = positions[:0] if massless else 2.0 * positions[near] - samples.points
+            positions = np.concatenate([positions, samples.points, images])
+        if massless:
+            stencils = grid.stencils(positions, n)
+            return cls(np.asarray(mass), positions, np.concatenate([own, near]), np.ones_like(own), stencils, True)
         owner = np.concatenate([own, near, near])
         return cls(np.asarray(mass), positions, owner, np.bincount(owner, minlength=n), grid.stencils(positions))
 
@@ -89,7 +104,12 @@ class Groups:
     @property
     def samples(self) -> IntArray:
         """Member of each sample."""
-        return np.arange(self.n, (self.n + self.owner.size) // 2)
+        return np.arange(self.n, self.owner.size if self.massless else (self.n + self.owner.size) // 2)
+
+    @property
+    def carriers(self) -> IntArray:
+        """Members that have mass."""
+        return self.points if self.massless else np.arange(self.owner.size)
 
     @cached_property
     def force_gradients(self) -> FloatArray:
@@ -107,10 +127,10 @@ class Groups:
         return 0.25 * self.stencils.spacing**2 * np.eye(dim) + self.mean(arms[:, :, None] * arms[:, None, :])
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Means over the groups (n_points, ...) of values of the members (n_members, ...)."""
-        flat = values.reshape(len(values), -1)
+        """Means over the groups, by mass, (n_points, ...) of values of the members (n_members, ...)."""
+        flat, owner = values.reshape(len(values), -1)[self.carriers], self.owner[self.carriers]
         # One owner after another, each member in turn: sums do not depend on anything else.
-        sums = np.stack([np.bincount(self.owner, column, self.n) for column in flat.T], axis=1)
+        sums = np.stack([np.bincount(owner, column, self.n) for column in flat.T], axis=1)
         return np.asarray((sums / self.sizes[:, None]).reshape(self.n, *values.shape[1:]))
 
     def to_grid(self, v: FloatArray, affine: FloatArray, group_apic: bool = False) -> tuple[FloatArray, FloatArray]:
@@ -123,7 +143,8 @@ class Groups:
         group_apic : bool
             See the module.
         """
-        share = (self.mass / self.sizes)[self.owner]
+        share = np.zeros(self.owner.size)
+        share[self.carriers] = (self.mass / self.sizes)[self.owner[self.carriers]]
         carried = v[self.owner]
         if group_apic:
             # A B-spline's own moment is taken out of `affine`, that of the group put in.

@@ -14,6 +14,9 @@ from femdeform.mpm.grid import Stencils
 from femdeform.parallel import Partition
 from femdeform.types import FloatArray, IntArray
 
+# Weights that add up to one but for this belong to points whose nodes are all there.
+_COMPLETE = 1e-12
+
 
 @dataclass(frozen=True)
 class Quadrature:
@@ -71,7 +74,8 @@ def consistent_gradients(stencils: Stencils, n: int) -> FloatArray:
 
     Grids leave out weights that are no more than rounding, but not their gradients, which go with the root of the
     weight and may be 1e-8 of the others. What is left out is given to the other nodes, so that ``sum G = 0`` and
-    ``sum x G^T = I`` hold to rounding, as forces without resultant and torque need them.
+    ``sum x G^T = I`` hold to rounding, as forces without resultant and torque need them. Points whose nodes are not all
+    there, of `Grid.stencils` with carriers, stay as they are: their part of the forces is lost.
 
     Raises
     ------
@@ -83,9 +87,10 @@ def consistent_gradients(stencils: Stencils, n: int) -> FloatArray:
     weights = stencils.weights[:n]
     gradients = np.array(stencils.gradients[:n])
     rows = np.flatnonzero((weights == 0.0).any(axis=1))
+    gradients[weights == 0.0] = 0.0
+    rows = rows[weights[rows].sum(axis=1) > 1.0 - _COMPLETE]
     if rows.size:
-        w = weights[rows]
-        G = np.where(w[..., None] > 0.0, gradients[rows], 0.0)
+        w, G = weights[rows], gradients[rows]
         x = stencils.positions[stencils.nodes[rows]]
         apart = x - np.einsum("pk,pkc->pc", w, x)[:, None]
         dim = G.shape[2]

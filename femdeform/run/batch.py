@@ -15,6 +15,7 @@ from femdeform import parallel
 from femdeform.errors import Fault, InputError, MissingDependencyError
 from femdeform.jit import default_threads, n_available_cores
 from femdeform.run import atomic
+from femdeform.run.batch_expectations import described, over_runs_verdicts
 from femdeform.run.batch_index import Index, StudyTable
 from femdeform.run.batch_plan import Plan, PlannedRun
 from femdeform.run.batch_process import Stop, Task, only_batch, run_here
@@ -72,7 +73,8 @@ def run_batch(
     Returns
     -------
     int
-        0 all runs are done, 1 an expectation failed, 3 a run did not converge or crashed, 130 interrupted.
+        0 all runs are done, 1 an expectation of a run or over all runs failed, 3 a run did not converge or crashed, 130
+        interrupted.
 
     Raises
     ------
@@ -256,7 +258,17 @@ class _Batch:
             print("interrupted; the same command goes on from here", file=sys.stderr, flush=True)
         elif any(ending.is_failure and ending.status != "killed" for ending in endings):
             print("give --retry to make the failed runs again", file=sys.stderr, flush=True)
-        return code
+        return self._judge(code)
+
+    def _judge(self, code: int) -> int:
+        """Say what became of the study's own `expect`, if all runs are finished; the exit code."""
+        if code not in (0, _EXPECTATION_FAILED):
+            return code
+        verdicts = over_runs_verdicts(self.plan.study.study.expect, self.plan.expected, self.index.table())
+        for found in verdicts:
+            if not (self.quiet and found["passed"]):
+                print(described(found), file=sys.stdout if found["passed"] else sys.stderr, flush=True)
+        return code if all(found["passed"] for found in verdicts) else _EXPECTATION_FAILED
 
     def _line(self, run: PlannedRun, ending: Ending) -> str:
         seconds = f", {ending.seconds:.1f} s" if ending.seconds is not None else ""

@@ -156,8 +156,11 @@ class Index:
 
 
 def _numbers(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    quantities = facts.get("quantities")
+    quantities, judged = facts.get("quantities"), facts.get("expect")
     known = {**facts, **(quantities if isinstance(quantities, dict) else {})}
+    for verdict in judged if isinstance(judged, list) else []:
+        if isinstance(verdict, dict):
+            known.setdefault(verdict.get("quantity", ""), verdict.get("computed"))
     return {name: known[name] for name in names if isinstance(known.get(name), (int, float))}
 
 

@@ -113,12 +113,15 @@ class Plan:
         In the order of the study; two may have the same hash.
     scalars : tuple of str
         Numbers of ``result.json`` to list for each run; those of its `quantities` without that prefix.
+    expected : tuple of str
+        The one of them that each entry of the study's `expect` is about.
     """
 
     study: LoadedStudy
     keys: tuple[str, ...]
     runs: tuple[PlannedRun, ...]
     scalars: tuple[str, ...]
+    expected: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:

@@ -42,6 +42,7 @@ def plan_runs(loaded: LoadedStudy, advance: Advance) -> Plan:
     bare = expand(loaded.study)
     runs: list[PlannedRun] = []
     measured: dict[str, None] = {}
+    judged: dict[str, None] = {}
     contents = _FileHashes()
     blame = _Blame(loaded, len(bare))
     for run in bare:
@@ -52,14 +53,21 @@ def plan_runs(loaded: LoadedStudy, advance: Advance) -> Plan:
             blame.add(run, check_file(loaded.scene_path, run.overrides))
         else:
             measured.update(dict.fromkeys(scene.scene.measure))
+            judged.update(dict.fromkeys(wanted.name for wanted in getattr(scene.scene.expect, "over_time", ())))
             runs.append(PlannedRun(run.number, run.varied, run.fixed, run_hash(scene, contents)))
         advance(run.number, len(bare))
     faults = blame.faults()
     # Without a single sound scene nothing is known about what can be listed.
-    scalars, problems = _scalars(loaded, tuple(measured)) if runs else ((), [])
-    if faults or problems:
-        raise InputError(sort_faults([*faults, *problems]))
-    return Plan(loaded, tuple(varied_keys(loaded.study.sweep)), tuple(runs), scalars)
+    scalars: tuple[str, ...] = ()
+    expected: tuple[str, ...] = ()
+    if runs:
+        columns = _Columns(loaded, tuple(measured), tuple(judged))
+        scalars, unknown = columns.scalars()
+        expected, unlisted = columns.expected(scalars)
+        faults += [*unknown, *unlisted]
+    if faults:
+        raise InputError(sort_faults(faults))
+    return Plan(loaded, tuple(varied_keys(loaded.study.sweep)), tuple(runs), scalars, expected)
 
 
 def check_runs(plan: Plan, runs: Sequence[PlannedRun], advance: Advance) -> None:
@@ -189,24 +197,54 @@ class _Blame:
         return sort_faults(result)
 
 
-def _scalars(loaded: LoadedStudy, measured: Sequence[str]) -> tuple[tuple[str, ...], list[Fault]]:
-    """Columns of the index that the study asks for, and what is wrong with what it asks for."""
-    # Imported here: it brings the finite elements with it.
-    from femdeform.run.quantities import STANDARD
+class _Columns:
+    """Columns of the index that a study asks for, and what is wrong with what it asks for.
 
-    quantities = [*(f"measure.{name}" for name in measured), *STANDARD]
-    if loaded.study.scalars is None:
-        return (*quantities, *DEFAULT_FACTS), []
-    known = [*FACTS, *quantities]
-    columns: dict[str, None] = {}
-    faults = []
-    for index, name in enumerate(loaded.study.scalars):
+    Parameters
+    ----------
+    loaded : LoadedStudy
+        The study.
+    measured : sequence of str
+        What its scenes measure.
+    judged : sequence of str
+        Names of what they expect over time: the computed numbers are those of the verdicts.
+    """
+
+    def __init__(self, loaded: LoadedStudy, measured: Sequence[str], judged: Sequence[str]) -> None:
+        # Imported here: it brings the finite elements with it.
+        from femdeform.run.quantities import STANDARD
+
+        self._loaded = loaded
+        self._quantities = [*(f"measure.{name}" for name in measured), *STANDARD]
+        self._known = [*FACTS, *self._quantities, *judged]
+
+    def _column(self, name: str) -> str:
         plain = name.removeprefix("quantities.")
-        column = plain if plain in known else f"measure.{plain}"
-        if column not in known:
-            message = f"`{name}` is not a number of a result; {did_you_mean(plain, known)}"
-            faults.append(loaded.fault(("scalars", index), message))
-        elif column in columns:
-            faults.append(loaded.fault(("scalars", index), f"`{name}` is listed twice"))
-        columns[column] = None
-    return tuple(columns), faults
+        return plain if plain in self._known else f"measure.{plain}"
+
+    def scalars(self) -> tuple[tuple[str, ...], list[Fault]]:
+        """Columns of `scalars`."""
+        loaded = self._loaded
+        if loaded.study.scalars is None:
+            return (*self._quantities, *DEFAULT_FACTS), []
+        columns: dict[str, None] = {}
+        faults = []
+        for index, name in enumerate(loaded.study.scalars):
+            column = self._column(name)
+            if column not in self._known:
+                hint = did_you_mean(name.removeprefix("quantities."), self._known)
+                faults.append(loaded.fault(("scalars", index), f"`{name}` is not a number of a result; {hint}"))
+            elif column in columns:
+                faults.append(loaded.fault(("scalars", index), f"`{name}` is listed twice"))
+            columns[column] = None
+        return tuple(columns), faults
+
+    def expected(self, scalars: Sequence[str]) -> tuple[tuple[str, ...], list[Fault]]:
+        """Columns that `expect` is about."""
+        columns, faults = [], []
+        for index, wanted in enumerate(self._loaded.study.expect):
+            columns.append(self._column(wanted.scalar))
+            if columns[-1] not in scalars:
+                message = f"`{wanted.scalar}` is not one of `scalars`; {did_you_mean(wanted.scalar, scalars)}"
+                faults.append(self._loaded.fault(("expect", index, "scalar"), message))
+        return tuple(columns), faults

@@ -30,8 +30,7 @@ def over_time_verdicts(
         times = np.concatenate([[0.0], np.asarray(history["time"], dtype=float)])
         column: NDArray[Any] = history[f"measure.{wanted.quantity}"]
         values = np.concatenate([[start[wanted.quantity]], np.asarray(column, dtype=float)])
-        name = f"{wanted.statistic} of {wanted.quantity}"
-        verdicts.append(verdict(name, statistic(times, values, wanted), wanted))
+        verdicts.append(verdict(wanted.name, statistic(times, values, wanted), wanted))
     return verdicts
 
 

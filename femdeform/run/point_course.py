@@ -79,6 +79,8 @@ class PointCourse:
         self._meter = PointMeter(scene, self._step.materials)
         self._measured: dict[str, float] = {}
         self.writer = VTPWriter()
+        if scene.surface.comparison is not None:
+            self.notices.append("surface.comparison: a scheme to compare with, which loses momentum")
         densities = law_densities(self._step.materials, scene)
         self._lightest = min(density for _, density in densities)
         self._sound_limit = explicit_limit(scene.grid.cell_size, densities) if solver is None else np.inf

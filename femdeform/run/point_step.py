@@ -119,6 +119,7 @@ class PointStep:
         )
         self._samples_surface = self.has_tension or exchanges
         surface = scene.surface
+        self._massless = surface.comparison == "massless_samples"
         self._sampler = SurfaceSampler(scene.grid.cell_size, surface.density, surface.radius, surface.seed)
         heat = scene.heat
         offset = None
@@ -155,7 +156,8 @@ class PointStep:
             return particles, PointReport(False, str(error))
         # Samples without tension are there for the heat only.
         tense = surface if self.has_tension else None
-        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid)
+        samples = None if tense is None else tense.samples
+        groups = Groups.split(points.x, points.mass, samples, self._grid, self._massless)
         heat = None
         if self.has_heat:
             heat = self._conduct(points, surface, groups, time, dt)

@@ -15,6 +15,7 @@ from femdeform.scene.document import read_document
 from femdeform.scene.key_path import KeyPath, format_key
 from femdeform.scene.load import Source, schema_faults, sort_faults
 from femdeform.scene.overrides import parse_override
+from femdeform.scene.quantity_schema import ExpectedValue
 from femdeform.scene.scene_model import Finite, SceneModel
 from femdeform.scene.validation import Finding
 from femdeform.scene.wording import did_you_mean, shown
@@ -107,6 +108,15 @@ class Sweep(SceneModel):
         return self
 
 
+class ExpectedOverRuns(ExpectedValue):
+    """A number made of one scalar of all runs."""
+
+    scalar: str = Field(description="one of `scalars`")
+    statistic: Literal["mean", "smallest", "largest", "standard_error"] = Field(
+        default="mean", description="over the runs; standard_error: of their mean"
+    )
+
+
 class Study(SceneModel):
     """A study file."""
 
@@ -117,6 +127,9 @@ class Study(SceneModel):
     sweep: Sweep = Field(description="what is varied: grid, zip, list, latin_hypercube")
     scalars: _Names | None = Field(
         default=None, description="numbers of result.json to list; default: steps, seconds and all quantities"
+    )
+    expect: list[ExpectedOverRuns] = Field(
+        default_factory=list, description="means and bounds over all runs, judged when they are finished"
     )
     out: Annotated[str, Field(min_length=1)] | None = Field(
         default=None, description="folder of the results, relative to the study file; default results/<study>"

@@ -33,6 +33,11 @@ class ExpectedOverTime(ExpectedValue):
     toward: Finite = Field(default=0.0, description="what a decay ends at, in the unit of the quantity")
     level: Finite | None = Field(default=None, description="level of `time_below`, in the unit of the quantity")
 
+    @property
+    def name(self) -> str:
+        """What its number is called in a result."""
+        return f"{self.statistic} of {self.quantity}"
+
     @model_validator(mode="after")
     def _has_a_stretch(self) -> ExpectedOverTime:
         if self.before is not None and self.before <= self.after:

@@ -64,6 +64,11 @@ class SurfaceSampling(SceneModel):
         description="surface energy of the symmetric part of the deformation, in implicit steps: drops "
         "keep their angular momentum",
     )
+    comparison: Literal["massless_samples"] | None = Field(
+        default=None,
+        description="a published scheme, to compare with: massless_samples take no mass from their points, and forces "
+        "on nodes that only they reach are lost, so that neither momentum nor the centre of mass is kept",
+    )
 
 
 class HeatOptions(SceneModel):

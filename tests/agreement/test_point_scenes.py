@@ -60,3 +60,37 @@ def test_pic_does_not_pass_for_apic(cli: Run, tmp_path: Path) -> None:
 def test_heat_as_published_misses_the_exact_value(name: str, cli: Run, tmp_path: Path) -> None:
     verdicts = facts_of(cli, name, tmp_path / "out", "--set", "heat.quadrature=literal", code=1)
     assert not verdicts[0]["passed"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["verify-falling-block", pytest.param("verify-translation", marks=pytest.mark.gallery)]
+)
+def test_backward_euler_moves_freely_too(name: str, cli: Run, tmp_path: Path) -> None:
+    implicit = ["time.scheme=backward_euler", "surface.symmetric=true", "solver.tolerance=1e-12"]
+    options = [word for setting in implicit for word in ("--set", setting)]
+    verdicts = facts_of(cli, name, tmp_path / "out", *options)
+    assert verdicts
+    assert all(verdict["passed"] for verdict in verdicts)
+
+
+@pytest.mark.slow
+@pytest.mark.gallery
+def test_backward_euler_with_the_plain_surface_loses_angular_momentum(cli: Run, tmp_path: Path) -> None:
+    """The negative control of the symmetric surface energy; linear momentum is kept by both."""
+    options = ("--set", "surface.symmetric=false", "--set", "time.end=0.5")
+    verdicts = facts_of(cli, "verify-ellipse-implicit", tmp_path / "out", *options, code=1)
+    passed = {str(verdict["quantity"]): verdict["passed"] for verdict in verdicts}
+    assert passed["largest_change of px"]
+    assert passed["largest_change of py"]
+    assert not passed["largest_change of spin"]
+
+
+@pytest.mark.slow
+def test_samples_without_mass_lose_momentum(cli: Run, tmp_path: Path) -> None:
+    """The negative control of conservation, cut short: what the ellipse expects, samples without mass miss."""
+    options = ("--set", "surface.comparison=massless_samples", "--set", "time.dt=1e-4", "--set", "time.end=0.02")
+    expect = "expect.over_time=[{quantity: py, statistic: largest_change, at_most: 2.1e-13}]"
+    assert not facts_of(cli, "verify-ellipse", tmp_path / "lost", *options, "--set", expect, code=1)[0]["passed"]
+    kept = (*options[2:], "--set", expect)
+    assert facts_of(cli, "verify-ellipse", tmp_path / "kept", *kept)[0]["passed"]

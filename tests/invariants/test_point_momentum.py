@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from femdeform.mpm.grid import Grid
 from femdeform.mpm.group_step import explicit_step
 from femdeform.mpm.groups import Groups
 from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.mpm.surface_forces import surface_forces
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.transfers import momentum_to_grid
 
@@ -138,6 +140,80 @@ def test_steps_with_samples(dim: int, transfer: Any, is_liquid: bool) -> None:
     same(of_points(now), angular)
     same(now.mass @ now.x, center + 20 * dt * linear)
     assert np.abs(now.v - particles.v).max() > 0.1
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_forces_at_the_edge_of_a_stencil_add_up_to_nothing(dim: int) -> None:
+    """Weights of 1e-16 are left out as rounding; their gradients are 1e-8 of the others, and forces go with those."""
+    particles, samples = drop(dim)
+    knots = (np.floor(samples.points / DX) + 0.5) * DX
+    samples = replace(samples, points=knots + 1.5e-8 * DX)
+    groups = Groups.split(particles.x, particles.mass, samples, GRID)
+    rows = groups.samples
+    assert ((groups.stencils.weights[rows] == 0.0) & (np.abs(groups.stencils.gradients[rows]).max(axis=2) > 1e-9)).any()
+    forces = surface_forces(groups, samples, np.full(samples.n, 0.2))
+    same(forces.sum(axis=0), 0.0, scale=float(np.abs(forces).max()))
+    torque = turning(groups.stencils.positions, forces)
+    same(torque, 0.0, scale=float(np.abs(forces).max()))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_samples_without_mass(dim: int) -> None:
+    """Their transfers keep everything; nodes that only they reach are not there, and forces on those are lost."""
+    particles, samples = drop(dim)
+    whole = Groups.split(particles.x, particles.mass, samples, GRID)
+    groups = Groups.split(particles.x, particles.mass, samples, GRID, massless=True)
+    assert groups.stencils.n_nodes < whole.stencils.n_nodes
+    np.testing.assert_array_equal(groups.stencils.positions, GRID.stencils(particles.x).positions)
+    mass, velocity = groups.to_grid(particles.v, particles.affine)
+    assert (mass > 0.0).all()
+    momentum = mass[:, None] * velocity
+    same(momentum.sum(axis=0), particles.mass @ particles.v)
+    same(turning(groups.stencils.positions, momentum), of_points(particles))
+    v, affine = groups.to_points(velocity)
+    same(particles.mass @ v, momentum.sum(axis=0))
+    moved = replace(particles, v=v, affine=affine)
+    same(of_points(moved), of_points(particles))
+    same(groups.to_grid(particles.v, particles.affine, True)[1], velocity)
+    k = np.full(samples.n, 0.2)
+    whole_forces, forces = (surface_forces(each, samples, k) for each in (whole, groups))
+    same(whole_forces.sum(axis=0), 0.0)
+    assert np.abs(forces.sum(axis=0)).max() > 0.02 * np.abs(whole_forces).max()
+    # On the nodes that are there, forces are those of samples with mass.
+    there = np.flatnonzero(
+        (whole.stencils.positions[:, None] == groups.stencils.positions[None]).all(axis=2).any(axis=1)
+    )
+    np.testing.assert_allclose(forces, whole_forces[there], rtol=0.0, atol=1e-6 * np.abs(forces).max())
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_samples_without_mass_among_points_lose_nothing(dim: int) -> None:
+    """Where every node has mass, momenta are kept: the loss is that of the nodes without."""
+    particles, _ = drop(dim, 4000)
+    rng = np.random.default_rng(3)
+    owner = np.sort(rng.integers(0, particles.n, 60))
+    owner = owner[np.abs(particles.x[owner]).max(axis=1) < 0.1]
+    normals = np.tile(np.eye(dim)[0], (owner.size, 1))
+    samples = SurfaceSamples(
+        particles.x[owner] + 0.3 * DX * normals, normals, np.full(owner.size, DX ** (dim - 1)), owner
+    )
+    law = {(0, 0): FixedCorotated.from_lame(50.0, 80.0, dim)}
+    steps = [
+        explicit_step(
+            particles,
+            law,
+            GRID,
+            1e-4,
+            samples=samples,
+            forces=lambda groups: surface_forces(groups, samples, np.full(samples.n, 5.0)),
+            massless=massless,
+        ).particles
+        for massless in (True, False)
+    ]
+    for now in steps:
+        same(now.mass @ now.v, particles.mass @ particles.v)
+        same(of_points(now), of_points(particles), scale=float(particles.mass.sum()))
+    assert np.abs(steps[0].v - steps[1].v).max() > 1e-6
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -12,19 +12,23 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from scenario import block, body, quasistatic, scene, write
 
 from femdeform.errors import InputError, OutputError
 from femdeform.run import batch, batch_process
 from femdeform.run.batch import run_batch
-from femdeform.run.batch_index import StudyTable
+from femdeform.run.batch_expectations import over_runs, over_runs_verdicts
+from femdeform.run.batch_index import Row, StudyTable
 from femdeform.run.batch_process import Task, serial_environment
 from femdeform.run.batch_record import Ending, RunFiles, judge
 from femdeform.run.failure import BUG_NOTE
+from femdeform.scene.batch_schema import ExpectedOverRuns
 
 Process = subprocess.CompletedProcess[str]
 
@@ -128,6 +132,37 @@ def test_every_kind_of_ending(tmp_path: Path, capfd: pytest.CaptureFixture[str])
         assert (line in summary and f": {reason}; {log}" in summary) == (status != "done")
     assert "8 runs: 2 done, 2 failed, 2 crashed, 1 expectation failed, 1 not converged" in summary
     assert "--retry" in summary
+
+
+@pytest.mark.usefixtures("fake")
+def test_what_a_study_expects_of_all_its_runs(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Of runs that say 1, 2 and 6: quantities, and numbers of verdicts, by any statistic."""
+    titles = ("fine", "also fine", "late")
+    mean = {"scalar": "mean of p", "value": 3.0, "rtol": 1e-12}
+    error = {"scalar": "mean of p", "statistic": "standard_error", "value": (7.0 / 3.0) ** 0.5, "rtol": 1e-12}
+    smallest = {"scalar": "volume_ratio", "statistic": "smallest", "at_least": 1.25}
+    path = study(tmp_path, *titles, scalars=["volume_ratio", "steps"], expect=[smallest])
+    assert over_runs(np.array([1.0, 2.0, 6.0]), "largest") == 6.0
+    rows_of = [
+        Row(number, "", {}, Ending("done"), {"mean of p": value, "volume_ratio": 1.25}, RunFiles.of(tmp_path, ""))
+        for number, value in enumerate([1.0, 2.0, 6.0])
+    ]
+    wanted = [ExpectedOverRuns.model_validate(given) for given in (mean, error)]
+    columns = ["mean of p", "mean of p"]
+    table = StudyTable("T", tmp_path, (), ("mean of p", "volume_ratio"), tuple(rows_of))
+    assert all(found["passed"] for found in over_runs_verdicts(wanted, columns, table))
+    lacking = StudyTable("T", tmp_path, (), table.scalars, (*rows_of, replace(rows_of[0], scalars={})))
+    assert not any(found["passed"] for found in over_runs_verdicts(wanted, columns, lacking))
+    assert run_batch(path, out=tmp_path / "out", jobs=2) == 0
+    assert "smallest over 3 runs of volume_ratio: 1.25 (at least 1.25): passed" in capfd.readouterr().out
+    # Finished runs are kept, the verdict is new.
+    path = study(tmp_path, *titles, scalars=["volume_ratio"], expect=[{**smallest, "at_least": 1.5}])
+    assert run_batch(path, out=tmp_path / "out", jobs=2, quiet=True) == 1
+    assert "1.25 (at least 1.5): FAILED" in capfd.readouterr().err
+    # With a run that has failed there is nothing to judge.
+    path = study(tmp_path, *titles, "diverges", scalars=["volume_ratio"], expect=[smallest])
+    assert run_batch(path, out=tmp_path / "out", jobs=2) == 3
+    assert "passed" not in capfd.readouterr().out
 
 
 @pytest.mark.usefixtures("fake")

@@ -204,6 +204,16 @@ def test_scalars(tmp_path: Path) -> None:
     assert {"elastic_energy", "max_displacement", "min_jacobian", "wall_seconds"} < set(standard)
 
 
+def test_what_is_expected_of_all_runs_is_listed(tmp_path: Path) -> None:
+    tip = {"tip": {"kind": "displacement", "on": "b.right", "component": "y"}}
+    sweep = {"grid": {"time.dt": [0.5]}}
+    wanted = [{"scalar": "tip", "at_most": 0.0}, {"scalar": "steps", "value": 2, "atol": 0.1}]
+    made = plan(tmp_path, {"scalars": ["steps", "tip"], "expect": wanted, "sweep": sweep}, measure=tip)
+    assert made.expected == ("measure.tip", "steps")
+    found = faults(tmp_path, {"scalars": ["tip"], "expect": wanted, "sweep": sweep}, measure=tip)
+    assert found == ["expect[1].scalar: `steps` is not one of `scalars`; known: measure.tip"]
+
+
 # ------------------------------------------------------------------------------------------------- faults
 
 
