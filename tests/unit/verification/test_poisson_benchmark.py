@@ -98,8 +98,7 @@ def test_whose_weights(weights: Path) -> None:
 
 
 def test_every_solver_by_name(tmp_path: Path, weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Any function of the residual becomes an answer if all directions are kept; two are too few for a poor one.
-    monkeypatch.setitem(poisson_case._FEWER, "dcdm", 2000)
+    monkeypatch.setitem(poisson_case._FEWER, "dcdm", 20)
     file = str(tmp_path / "frames.npz")
     case = {"scene": "blob", "open": True, "cells": 12, "dim": 3, "frames": [1, 2], "file": file}
     assert poisson_case.record(case)["n_closed"] == 0
@@ -108,6 +107,11 @@ def test_every_solver_by_name(tmp_path: Path, weights: Path, monkeypatch: pytest
         if name.startswith("petsc"):
             pytest.importorskip("petsc4py")
         found = poisson_case.solve({"solver": name, "file": file, "tolerances": [1e-4, 1e-6]})
+        if name == "dcdm":  # nobody trained it
+            assert found["reasons"] == ["20 iterations"]
+            assert found["tolerances"]["1e-06"]["iterations"] == [None, None]
+            assert len(found["residuals"]) == 21
+            continue
         assert found["reasons"] == []
         few, more = (found["tolerances"][tolerance]["iterations"] for tolerance in ("0.0001", "1e-06"))
         assert len(few) == len(more) == 2
@@ -148,9 +152,8 @@ def test_failures_and_winners_are_said() -> None:
 
 def test_the_whole_benchmark_of_poisson(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(environment.CELLS_VARIABLE, "8")
-    monkeypatch.setenv(
-        environment.ONLY_VARIABLE, "8^3, plates: mg; 8^2, plates: spd; plume, closed: cg; spinning box, open: mic"
-    )
+    wanted = "8^3, plates: mg; 8^2, plates: spd; plume, closed: cg; spinning box, open: mic"
+    monkeypatch.setenv(environment.ONLY_VARIABLE, wanted)
     assert cli.main(["bench", "poisson", "--out", str(tmp_path / "out")]) == 0
     data = json.loads((tmp_path / "out" / "bench.json").read_text())["benchmarks"]["poisson"]
     found = [(row["dim"], row["scene"], row["solver"], row["status"]) for row in data["solves"]]
