@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from femdeform.flow.pressure_system import AIR, FLUID, SOLID, GridArray, PressureSystem
 
 # Fewer fluid voxels than this part of the grid make no domain.
-_LEAST_FLUID = 0.2
+LEAST_FLUID = 0.2
 _POROUS = 0.15
 _PLATES = 0.15
 _AIR_LAYER = 0.35
@@ -38,7 +38,7 @@ def random_labels(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[n
         elif kind < _AIR_LAYER + _WAVY_SURFACE:
             labels[(height > _surface(shape, rng)) & (labels == FLUID)] = AIR
         largest = _largest_component(labels)
-        if np.count_nonzero(largest == FLUID) > _LEAST_FLUID * largest.size:
+        if np.count_nonzero(largest == FLUID) > LEAST_FLUID * largest.size:
             return largest
 
 
