@@ -24,7 +24,7 @@ Curves = Mapping[str, list[list[float]]]
 def findings(results: Results) -> Findings:
     """Return everything the cases found, as tables, plots and data."""
     summary = (
-        "Deep conjugate directions. Pressures: smoke past a blob of seven ellipsoids, eight steps of one flow; "
+        "Deep conjugate directions. Pressures: smoke past a blob of seven ellipsoids, some steps of one flow; "
         "iterations until the residual is 1e-4 and 1e-6 of the right-hand side, mean of the steps. Heat: one step of "
         "backward Euler, a hot ball in a box whose walls are at zero. Networks: trained in the plane for "
         f"{STEPS} steps on {results.training}^2 voxels, and tried on {results.tests}^2 with the last of the "

@@ -92,7 +92,7 @@ def test_failures_are_said() -> None:
 def test_the_whole_benchmark_of_dcdm(tmp_path: Path, weights: None, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
     monkeypatch.setenv(environment.CELLS_VARIABLE, "8")
-    monkeypatch.setenv(environment.ONLY_VARIABLE, "8^2; 8^3: heat; training: 8 channels; its training")
+    monkeypatch.setenv(environment.ONLY_VARIABLE, "8^2; 8^3: heat; training: 8 channels; trained as")
     monkeypatch.setattr(dcdm, "STEPS", 2)
     monkeypatch.setattr(learned_weights, "missing_weights", lambda _, dim: "" if dim == 2 else "there are none")
     out = tmp_path / "out"
@@ -103,7 +103,7 @@ def test_the_whole_benchmark_of_dcdm(tmp_path: Path, weights: None, monkeypatch:
         (2, True, "done"),
     ]
     assert [(row["dim"], row["status"]) for row in data["heat"]] == [(2, "done"), (3, "skipped")]
-    assert [row["network"] for row in data["networks"]] == ["the source's, its training", "8 channels"]
+    assert [row["network"] for row in data["networks"]] == ["the same, trained as the source's", "8 channels"]
     assert all(row["status"] == "done" for row in data["networks"])
     assert data["networks"][0]["n_parameters"] == 32_657
     pictures = {path.name for path in out.glob("*.png")}
