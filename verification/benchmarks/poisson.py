@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from femdeform import jit
 from verification.benchmarks import child_process
@@ -14,7 +15,23 @@ from verification.benchmarks.environment import chosen_cells, has_petsc, is_want
 from verification.benchmarks.machine import available_memory
 from verification.benchmarks.run import Findings
 
-SIZES = (32, 64, 128, 256)
+
+class Grid(NamedTuple):
+    """Voxels along an edge, and the dimension."""
+
+    cells: int
+    dim: int
+
+    def __str__(self) -> str:
+        return f"{self.cells}^{self.dim}"
+
+    @property
+    def n_voxels(self) -> int:
+        """All of them."""
+        return int(self.cells**self.dim)
+
+
+GRIDS = (Grid(64, 2), Grid(256, 2), Grid(32, 3), Grid(64, 3), Grid(128, 3), Grid(256, 3))
 TOLERANCES = (1e-4, 1e-6)
 FLOWS = ("plume", "blob", "spinning box")
 # By name: the scene, and whether it is open at the top.
@@ -22,10 +39,20 @@ SCENES: dict[str, tuple[str, bool]] = {
     f"{scene}, {'open' if is_open else 'closed'}": (scene, is_open) for scene in FLOWS for is_open in (False, True)
 } | {scene: (scene, False) for scene in ("30 % solids", "50 % solids", "rooms", "plates")}
 # Of grids as large as this multigrid alone is asked, about the first frame.
-_LARGE = 256
+_LARGE = 256**3
 # Vectors of a solver beside those of the flow and the frames, as many as it has unknowns, in double precision.
-_VECTORS = {"deflated cg": 240.0, "petsc gamg": 130.0, "petsc hypre": 130.0, "petsc icc": 60.0}
+_VECTORS = {
+    "deflated cg": 240.0,
+    "petsc gamg": 130.0,
+    "petsc hypre": 130.0,
+    "petsc icc": 60.0,
+    "dcdm": 120.0,
+    "spd_lmg": 80.0,
+}
 _VECTORS_OF_OTHERS = 40.0
+
+# In the plane half of all voxels do not hang together.
+_SPACE_ONLY = ("50 % solids",)
 
 _CASE = "verification.benchmarks.poisson_case"
 
@@ -36,17 +63,16 @@ class Results:
 
     Attributes
     ----------
-    sizes : list of int
-        Voxels along an edge.
+    grids : list of Grid
     records : dict
-        By size and scene.
+        By grid and scene.
     solves : dict
-        By size, scene and solver.
+        By grid, scene and solver.
     """
 
-    sizes: list[int]
-    records: dict[tuple[int, str], Outcome] = field(default_factory=dict)
-    solves: dict[tuple[int, str, str], Outcome] = field(default_factory=dict)
+    grids: list[Grid]
+    records: dict[tuple[Grid, str], Outcome] = field(default_factory=dict)
+    solves: dict[tuple[Grid, str, str], Outcome] = field(default_factory=dict)
 
 
 def run_poisson(say: Callable[[str], None]) -> Findings:
@@ -65,50 +91,59 @@ def run_poisson(say: Callable[[str], None]) -> Findings:
     from verification.benchmarks.poisson_case import SOLVERS
 
     chosen = chosen_cells()
-    results = Results(list(SIZES) if chosen is None else [chosen])
-    for n in results.sizes:
-        names = [name for name in SOLVERS if n < _LARGE or name.startswith("mg")]
+    results = Results(list(GRIDS) if chosen is None else [Grid(chosen, dim) for dim in (2, 3)])
+    for grid in results.grids:
+        names = [name for name in SOLVERS if grid.n_voxels < _LARGE or name.startswith("mg")]
         for scene in SCENES:
-            wanted = [name for name in names if is_wanted(case_name(n, scene, name))]
-            if wanted:
-                _scene(results, n, scene, wanted, say)
+            wanted = [name for name in names if is_wanted(case_name(grid, scene, name))]
+            if wanted and not (grid.dim == 2 and scene in _SPACE_ONLY):
+                _scene(results, grid, scene, wanted, say)
     return poisson_tables.findings(results)
 
 
-def case_name(n: int, scene: str, solver: str) -> str:
+def case_name(grid: Grid, scene: str, solver: str) -> str:
     """How FEMDEFORM_BENCH_ONLY knows a case."""
-    return f"{n}^3, {scene}: {solver}"
+    return f"{grid}, {scene}: {solver}"
 
 
-def _scene(results: Results, n: int, scene: str, solvers: Sequence[str], say: Callable[[str], None]) -> None:
+def _scene(results: Results, grid: Grid, scene: str, solvers: Sequence[str], say: Callable[[str], None]) -> None:
     from verification.benchmarks.poisson_domains import FRAMES
 
     kind, is_open = SCENES[scene]
     threads = jit.default_threads()
-    reason = _too_large(n, "")
+    reason = _too_large(grid, "")
     if reason:
-        results.solves |= {(n, scene, name): skipped(reason) for name in solvers}
+        results.solves |= {(grid, scene, name): skipped(reason) for name in solvers}
         return
     with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
         file = str(Path(folder, "frames.npz"))
-        say(f"{n}^3, {scene}")
-        frames = FRAMES if n < _LARGE else FRAMES[:1]
-        case = {"kind": "record", "scene": kind, "open": is_open, "cells": n, "frames": frames, "file": file}
+        say(f"{grid}, {scene}")
+        frames = FRAMES if grid.n_voxels < _LARGE else FRAMES[:1]
+        case = {"kind": "record", "scene": kind, "open": is_open, "frames": frames, "file": file, **grid._asdict()}
         recorded = child_process.run_module(_CASE, case, threads)
-        results.records[n, scene] = recorded
+        results.records[grid, scene] = recorded
         for name in solvers:
-            reason = _too_large(n, name) if recorded.done else "there is nothing to solve"
-            if name.startswith("petsc") and not has_petsc():
-                reason = "petsc4py is not installed"
+            reason = _absent(grid, name) if recorded.done else "there is nothing to solve"
             if reason:
-                results.solves[n, scene, name] = skipped(reason)
+                results.solves[grid, scene, name] = skipped(reason)
                 continue
-            say(case_name(n, scene, name))
+            say(case_name(grid, scene, name))
             case = {"kind": "solve", "solver": name, "file": file, "tolerances": TOLERANCES}
-            results.solves[n, scene, name] = child_process.run_module(_CASE, case, threads)
+            results.solves[grid, scene, name] = child_process.run_module(_CASE, case, threads)
 
 
-def _too_large(n: int, solver: str) -> str:
+def _absent(grid: Grid, solver: str) -> str:
+    """Why a solver cannot be run; an empty text if it can."""
+    if solver.startswith("petsc") and not has_petsc():
+        return "petsc4py is not installed"
+    if solver in ("dcdm", "spd_lmg"):
+        from verification.benchmarks.learned_weights import missing_weights
+
+        return missing_weights(solver, grid.dim) or _too_large(grid, solver)
+    return _too_large(grid, solver)
+
+
+def _too_large(grid: Grid, solver: str) -> str:
     """Why there is no room for a solver; an empty text if there is."""
-    need, free = 8.0 * n**3 * _VECTORS.get(solver, _VECTORS_OF_OTHERS), available_memory()
+    need, free = 8.0 * grid.n_voxels * _VECTORS.get(solver, _VECTORS_OF_OTHERS), available_memory()
     return f"needs about {need / 1e9:.0f} GB" if free is not None and need > 0.8 * free else ""

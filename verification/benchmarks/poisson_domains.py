@@ -38,24 +38,24 @@ _HALF_BOX, _RATE = 0.12, 2.0
 _N_RANDOM = 4
 
 
-def rooms(n: int) -> Labels:
+def rooms(n: int, dim: int = 3) -> Labels:
     """Rooms between walls one voxel thick, four along each side; a hole of a voxel joins two of them."""
-    labels = np.full((n, n, n), FLUID, dtype=np.uint8)
+    labels = np.full((n,) * dim, FLUID, dtype=np.uint8)
     size = max(4, n // 4)
     walls = np.arange(size - 1, n - 1, size)
     middles = np.arange(size // 2 - 1, n, size)
-    for axis in range(3):
+    for axis in range(dim):
         np.moveaxis(labels, axis, 0)[walls] = SOLID
-    for axis in range(3):
+    for axis in range(dim):
         across = np.moveaxis(labels, axis, 0)
         for wall in walls:
-            across[np.ix_([wall], middles, middles)] = FLUID
+            across[np.ix_([wall], *[middles] * (dim - 1))] = FLUID
     return labels
 
 
-def plates(n: int) -> Labels:
+def plates(n: int, dim: int = 3) -> Labels:
     """A channel of three voxels between plates of one, each open at the end where its neighbours are closed."""
-    labels = np.full((n, n, n), FLUID, dtype=np.uint8)
+    labels = np.full((n,) * dim, FLUID, dtype=np.uint8)
     for number, at in enumerate(range(3, n - 1, 4)):
         labels[at, 3:] = SOLID
         if number % 2:
@@ -65,19 +65,20 @@ def plates(n: int) -> Labels:
     return labels
 
 
-def random_solids(n: int, part: float) -> Labels:
+def random_solids(n: int, part: float, dim: int = 3) -> Labels:
     """Voxels that are solid by chance; of the fluid the largest connected component stays."""
     from scipy.ndimage import label
 
-    fluid = np.random.default_rng(0).random((n, n, n)) >= part
+    fluid = np.random.default_rng(0).random((n,) * dim) >= part
     number, _ = label(fluid)
     largest = np.argmax(np.bincount(number[fluid]))
     return np.where(number == largest, FLUID, SOLID).astype(np.uint8)
 
 
-HARD: dict[str, Callable[[int], Labels]] = {
-    "30 % solids": lambda n: random_solids(n, 0.3),
-    "50 % solids": lambda n: random_solids(n, 0.5),
+# By voxels along an edge and dimension. In the plane half of all voxels do not hang together.
+HARD: dict[str, Callable[[int, int], Labels]] = {
+    "30 % solids": lambda n, dim: random_solids(n, 0.3, dim),
+    "50 % solids": lambda n, dim: random_solids(n, 0.5, dim),
     "rooms": rooms,
     "plates": plates,
 }
@@ -99,9 +100,13 @@ class _Recorder:
 
 
 def make_flow(
-    scene: str, is_open: bool, n: int, make_solver: Callable[[PressureSystem], PressureSolver] = _Recorder
+    scene: str,
+    is_open: bool,
+    n: int,
+    make_solver: Callable[[PressureSystem], PressureSolver] = _Recorder,
+    dim: int = 3,
 ) -> SmokeFlow:
-    """Smoke from a ball at the bottom of a box of n^3 voxels and 1 m.
+    """Smoke from a ball, in the plane a disc, at the bottom of a box of n^dim voxels and 1 m.
 
     Parameters
     ----------
@@ -113,8 +118,10 @@ def make_flow(
         Voxels along an edge.
     make_solver : callable
         See `SmokeFlow`.
+    dim : int
+        3, or 2 for the middle plane of all that.
     """
-    grid = MACGrid((n, n, n), 1.0 / n)
+    grid = MACGrid((n,) * dim, 1.0 / n)
     centres = grid.centres()
     air = np.zeros(grid.shape, dtype=bool)
     air[:, -1] = is_open
@@ -122,17 +129,17 @@ def make_flow(
     moving = []
     if scene == "blob":
         for middle, axes in _BLOB:
-            solid |= (((centres - middle) / axes) ** 2).sum(axis=-1) < 1.0
+            solid |= (((centres - middle[:dim]) / axes[:dim]) ** 2).sum(axis=-1) < 1.0
     elif scene == "spinning box":
         moving = [MovingSolid(lambda time: _in_box(centres, time), _turn)]
-    source = Source(((centres - (0.5, 0.15, 0.5)) ** 2).sum(axis=-1) <= 0.12**2)
+    source = Source(((centres - (0.5, 0.15, 0.5)[:dim]) ** 2).sum(axis=-1) <= 0.12**2)
     return SmokeFlow(grid, solid, air, make_solver, sources=[source], moving=moving, tolerance=_TOLERANCE)
 
 
 def _in_box(centres: FloatArray, time: float) -> NDArray[np.bool_]:
-    x, y, z = np.moveaxis(centres - 0.5, -1, 0)
+    x, y, *rest = np.moveaxis(centres - 0.5, -1, 0)
     c, s = np.cos(_RATE * time), np.sin(_RATE * time)
-    sizes = (c * x + s * y, c * y - s * x, z)
+    sizes = (c * x + s * y, c * y - s * x, *rest)
     return np.asarray(np.max(np.abs(np.stack(sizes)), axis=0) < _HALF_BOX)
 
 
@@ -142,7 +149,7 @@ def _turn(time: float, points: FloatArray) -> FloatArray:
     return out
 
 
-def record(scene: str, is_open: bool, n: int, frames: Sequence[int]) -> list[tuple[Labels, GridArray]]:
+def record(scene: str, is_open: bool, n: int, frames: Sequence[int], dim: int = 3) -> list[tuple[Labels, GridArray]]:
     """Labels and right-hand sides of the pressure at some steps of a flow; where a step has parts, of the last one.
 
     Raises
@@ -150,7 +157,7 @@ def record(scene: str, is_open: bool, n: int, frames: Sequence[int]) -> list[tup
     RuntimeError
         If a pressure on the way was not found.
     """
-    flow = make_flow(scene, is_open, n)
+    flow = make_flow(scene, is_open, n, dim=dim)
     found = []
     for step in range(1, max(frames) + 1):
         reports = flow.step(DT)

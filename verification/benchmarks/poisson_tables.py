@@ -6,17 +6,30 @@ import statistics
 from typing import Any
 
 from verification.benchmarks.child_process import Outcome
-from verification.benchmarks.poisson import SCENES, TOLERANCES, Results
+from verification.benchmarks.poisson import SCENES, TOLERANCES, Grid, Results
 from verification.benchmarks.run import Findings
 from verification.benchmarks.tables import Cell, Table, add_reasons, megabytes, seconds
 
-_COLOURS = ("#4477aa", "#66ccee", "#228833", "#994f00", "#ee6677", "#aa3377", "#ccbb44", "#666666", "#222222")
+_COLOURS = (
+    "#4477aa",
+    "#66ccee",
+    "#228833",
+    "#994f00",
+    "#ee6677",
+    "#aa3377",
+    "#ccbb44",
+    "#666666",
+    "#222222",
+    "#bb5500",
+    "#117733",
+)
 
 
 def findings(results: Results) -> Findings:
     """Return everything the cases found, as tables, plots and data."""
     summary = (
-        "Pressure systems of flows in a box of n^3 voxels (smoke from a ball of radius 0.12 at its bottom, against "
+        "Pressure systems of flows in a box of n^3 voxels, or a square of n^2 (smoke from a ball of radius 0.12 at its "
+        "bottom, against "
         "nothing, a blob of seven ellipsoids or a box that turns; closed, or with a layer of air at the top), "
         "steps 5, 10, 20 and 40 of 1/40 s; and of hard domains with four random smooth velocities each. From zero "
         "to a residual of 1e-4 and 1e-6 of the right-hand side, computed anew at the end. Iterations: mean of the "
@@ -24,35 +37,35 @@ def findings(results: Results) -> Findings:
         "memory is the peak of the whole process."
     )
     tables: list[Table] = []
-    for n in results.sizes:
-        tables += [_solves(results, n, tolerance) for tolerance in TOLERANCES]
-        tables += [_set_up(results, n), _quickest(results, n)]
-    failures = [f"{n}^3, {scene}: {o.reason}" for (n, scene), o in results.records.items() if o.status == "failed"]
+    for grid in results.grids:
+        tables += [_solves(results, grid, tolerance) for tolerance in TOLERANCES]
+        tables += [_set_up(results, grid), _quickest(results, grid)]
+    failures = [f"{grid}, {scene}: {o.reason}" for (grid, scene), o in results.records.items() if o.status == "failed"]
     failures += [
-        f"{n}^3, {scene}, {solver}: {o.reason}"
-        for (n, scene, solver), o in results.solves.items()
+        f"{grid}, {scene}, {solver}: {o.reason}"
+        for (grid, scene, solver), o in results.solves.items()
         if o.status == "failed"
     ]
     return Findings(summary, [table for table in tables if table.rows], _data(results), failures, _plots(results))
 
 
-def _of(results: Results, n: int) -> dict[tuple[str, str], Outcome]:
-    return {(scene, solver): o for (size, scene, solver), o in results.solves.items() if size == n}
+def _of(results: Results, grid: Grid) -> dict[tuple[str, str], Outcome]:
+    return {(scene, solver): o for (each, scene, solver), o in results.solves.items() if each == grid}
 
 
-def _solvers(results: Results, n: int) -> list[str]:
-    return list(dict.fromkeys(solver for _, solver in _of(results, n)))
+def _solvers(results: Results, grid: Grid) -> list[str]:
+    return list(dict.fromkeys(solver for _, solver in _of(results, grid)))
 
 
-def _scenes(results: Results, n: int) -> list[str]:
-    return [scene for scene in SCENES if any(s == scene for s, _ in _of(results, n))]
+def _scenes(results: Results, grid: Grid) -> list[str]:
+    return [scene for scene in SCENES if any(s == scene for s, _ in _of(results, grid))]
 
 
-def _solves(results: Results, n: int, tolerance: float) -> Table:
-    solvers = _solvers(results, n)
-    table = Table(f"{n}^3 voxels, to {tolerance:g}: iterations and seconds of a solve", ["", *solvers])
-    outcomes = _of(results, n)
-    for scene in _scenes(results, n):
+def _solves(results: Results, grid: Grid, tolerance: float) -> Table:
+    solvers = _solvers(results, grid)
+    table = Table(f"{grid} voxels, to {tolerance:g}: iterations and seconds of a solve", ["", *solvers])
+    outcomes = _of(results, grid)
+    for scene in _scenes(results, grid):
         row = [_solve(outcomes.get((scene, solver)), tolerance) for solver in solvers]
         if any(entry != "-" for entry in row):
             table.rows.append([scene, *row])
@@ -75,11 +88,11 @@ def _solve(outcome: Outcome | None, tolerance: float) -> str | Cell:
     return Cell(f"{mean:.3g} / {time.short}", f"{mean:.3g}{spread} / {time.short}")
 
 
-def _set_up(results: Results, n: int) -> Table:
-    solvers = _solvers(results, n)
-    table = Table(f"{n}^3 voxels: set-up of a domain, and memory", ["", *solvers])
-    outcomes = _of(results, n)
-    for scene in _scenes(results, n):
+def _set_up(results: Results, grid: Grid) -> Table:
+    solvers = _solvers(results, grid)
+    table = Table(f"{grid} voxels: set-up of a domain, and memory", ["", *solvers])
+    outcomes = _of(results, grid)
+    for scene in _scenes(results, grid):
         row: list[str | Cell] = []
         for solver in solvers:
             o = outcomes.get((scene, solver))
@@ -94,14 +107,14 @@ def _set_up(results: Results, n: int) -> Table:
     return table
 
 
-def _quickest(results: Results, n: int) -> Table:
+def _quickest(results: Results, grid: Grid) -> Table:
     """Which solver wins, where set-up is paid once and where it is paid for every solve."""
     table = Table(
-        f"{n}^3 voxels: the quickest",
+        f"{grid} voxels: the quickest",
         ["", *(f"to {t:g}, {w}" for t in TOLERANCES for w in ("solve", "set-up and solve"))],
     )
-    outcomes = _of(results, n)
-    for scene in _scenes(results, n):
+    outcomes = _of(results, grid)
+    for scene in _scenes(results, grid):
         done = {solver: o.data for (s, solver), o in outcomes.items() if s == scene and o.done}
         row = []
         for tolerance in TOLERANCES:
@@ -128,9 +141,9 @@ def _plots(results: Results) -> dict[str, bytes]:
     from femdeform.post.plots import figure_bytes
 
     found: dict[str, bytes] = {}
-    for n in results.sizes:
-        outcomes, solvers = _of(results, n), _solvers(results, n)
-        for scene in _scenes(results, n):
+    for grid in results.grids:
+        outcomes, solvers = _of(results, grid), _solvers(results, grid)
+        for scene in _scenes(results, grid):
             curves = {s: outcomes[scene, s].data["residuals"] for s in solvers if _is_done(outcomes, scene, s)}
             if not curves:
                 continue
@@ -145,11 +158,11 @@ def _plots(results: Results) -> dict[str, bytes]:
             ax.set_yscale("log")
             ax.set_xlabel("iteration")
             ax.set_ylabel("residual over right-hand side")
-            ax.set_title(f"{scene}, {n}$^3$ voxels, last frame", fontsize=10)
+            ax.set_title(f"{scene}, {grid.cells}$^{grid.dim}$ voxels, last frame", fontsize=10)
             ax.grid(True, which="major", color="#dddddd", linewidth=0.6)
             ax.legend(fontsize=8)
             name = scene.replace(" %", "").replace(", ", "-").replace(" ", "-")
-            found[f"poisson-{n}-{name}.png"] = figure_bytes(figure, "png")
+            found[f"poisson-{grid.cells}-{grid.dim}d-{name}.png"] = figure_bytes(figure, "png")
     return found
 
 
@@ -162,10 +175,11 @@ def _data(results: Results) -> dict[str, Any]:
     return {
         "tolerances": list(TOLERANCES),
         "systems": [
-            {"cells": n, "scene": scene, **outcome.as_data()} for (n, scene), outcome in results.records.items()
+            {**grid._asdict(), "scene": scene, **outcome.as_data()}
+            for (grid, scene), outcome in results.records.items()
         ],
         "solves": [
-            {"cells": n, "scene": scene, "solver": solver, **outcome.as_data()}
-            for (n, scene, solver), outcome in results.solves.items()
+            {**grid._asdict(), "scene": scene, "solver": solver, **outcome.as_data()}
+            for (grid, scene, solver), outcome in results.solves.items()
         ],
     }

@@ -55,6 +55,7 @@ BENCHMARKS: dict[str, str] = {
     "xpbd": "verification.benchmarks.xpbd:run_xpbd",
     "mpm": "verification.benchmarks.mpm:run_mpm",
     "poisson": "verification.benchmarks.poisson:run_poisson",
+    "dcdm": "verification.benchmarks.dcdm:run_dcdm",
 }
 
 

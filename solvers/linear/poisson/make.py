@@ -16,6 +16,7 @@ from solvers.linear.poisson.interface import PoissonSolver
 from solvers.linear.poisson.make_learned import make_learned_solver
 from solvers.linear.poisson.multigrid import Multigrid
 from solvers.linear.poisson.petsc_pressure import PETScPressure
+from solvers.linear.poisson.trained_range import TrainedRange
 from solvers.linear.poisson.weights_file import Weights, load_weights
 
 
@@ -42,8 +43,9 @@ class PressureSolverMaker:
         self.reset()
 
     def reset(self) -> None:
-        """Forget which solver was the faster one."""
+        """Forget which solver was the faster one, and what was said of the weights."""
         self._rule = SpeedRule(self.events)
+        self._refused = ""
 
     def __call__(self, system: PressureSystem) -> PoissonSolver:
         """Make a solver.
@@ -69,7 +71,19 @@ class PressureSolverMaker:
             solver, limits = make_learned_solver(options, system, weights)
             return solver if options.fallback == "none" else Guarded(solver, limits, multigrid, self.events)
 
+        if options.fallback != "none" and self._refuses(system, weights):
+            return multigrid()
         return FasterOf(learned, multigrid, self._rule) if options.compare_times else learned()
+
+    def _refuses(self, system: PressureSystem, weights: Weights) -> bool:
+        """Whether the weights are not for this grid; says so when that, or the reason, changes."""
+        known = TrainedRange.of(weights.meta)
+        reason = known.refusal(system) if known is not None else ""
+        if reason != self._refused:
+            method = self._options.method
+            self.events.append(f"{method} not used ({reason}); mg_pcg instead" if reason else f"{method} used again")
+            self._refused = reason
+        return bool(reason)
 
 
 def weights_path(name: str | None, folder: Path) -> str | None:

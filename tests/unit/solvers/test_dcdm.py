@@ -20,6 +20,7 @@ from solvers.linear.poisson.dcdm_operations import CompiledOperations, framed, p
 from solvers.linear.poisson.guard import DCDM_LIMITS, FasterOf, Guarded, Limits, SpeedRule, Watchdog
 from solvers.linear.poisson.interface import PoissonResult
 from solvers.linear.poisson.multigrid import Multigrid
+from verification.benchmarks.heat_system import HeatSystem
 
 
 def domain(n: int = 32, dim: int = 2, is_open: bool = False) -> PressureSystem:
@@ -166,6 +167,51 @@ def test_a_slow_function_is_stopped_and_its_answer_is_the_start() -> None:
     assert np.any(starts[0])
     assert 20 < answer.iterations < 30
     assert len(answer.residuals) == answer.iterations + 1
+
+
+@pytest.mark.parametrize("factor", [0.9, np.nan, -30.0])
+def test_a_solver_that_says_it_is_done_is_not_believed(factor: float) -> None:
+    """The residual is computed anew; an answer that is worse than none is no start."""
+    system = domain()
+    b = right_side(system)
+
+    class Boaster(ConjugateGradients):
+        def solve(self, b, tolerance, max_iterations, x=None, watch=None) -> PoissonResult:  # type: ignore[no-untyped-def]
+            answer = super().solve(b, 1e-9, max_iterations)
+            return PoissonResult(factor * answer.x, 3, True, "done", [answer.residuals[0], 0.0])
+
+    events: list[str] = []
+    boaster = Boaster(system, name="boaster")
+    solver = Guarded(boaster, DCDM_LIMITS, lambda: ConjugateGradients(system, Multigrid(system), "mg_pcg"), events)
+    answer = solver.solve(b, 1e-6, 300)
+    assert answer.converged
+    assert answer.residuals[-1] <= 1e-6 * system.norm(b)
+    assert len(events) == 1
+    assert events[0].startswith("boaster stopped (its residual is ")
+    honest = Guarded(ConjugateGradients(system), Limits(9.0, 999), lambda: pytest.fail("not needed"), [])
+    assert honest.solve(b, 1e-6, 300).converged
+
+
+def test_the_guard_serves_other_matrices() -> None:
+    """Steps of the heat equation, whose matrix is definite and not that of a pressure."""
+    system = HeatSystem(32, 2, 1e3)
+    b = system.hot_ball(1e3)
+    architecture = Architecture(dim=2, left=0, low=1, up=0, channels=2)
+    f = NetworkDirections(system, architecture, zero_parameters(architecture))
+    events: list[str] = []
+    slow = Guarded(
+        DeepConjugateDirections(system, f), DCDM_LIMITS, lambda: ConjugateGradients(system, Multigrid(system)), events
+    )
+    answer = slow.solve(b, 1e-8, 300)
+    assert answer.converged
+    assert len(events) == 1
+    r = system.new_field()
+    system.apply(answer.x, r)
+    assert system.norm(b - r) <= 1e-8 * system.norm(b)
+    events.clear()
+    good = DeepConjugateDirections(system, v_cycle(system))
+    assert Guarded(good, DCDM_LIMITS, lambda: pytest.fail("not needed"), events).solve(b, 1e-8, 300).converged
+    assert events == []
 
 
 def test_the_watchdog() -> None:

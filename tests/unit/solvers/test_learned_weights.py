@@ -16,6 +16,7 @@ from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.dcdm_network import Architecture, glorot_parameters
 from solvers.linear.poisson.make import PressureSolverMaker
 from solvers.linear.poisson.multigrid import Multigrid
+from solvers.linear.poisson.trained_range import TrainedRange
 from solvers.linear.poisson.weights_file import Weights, load_weights, save_weights, shipped_weights
 
 
@@ -164,3 +165,53 @@ def test_a_layer_of_voxels_is_a_grid_of_two_dimensions() -> None:
     flat = np.zeros((16, 12), dtype=np.uint8)
     assert PressureSystem(flat).dim == PressureSystem(flat[..., None]).dim == 2
     assert PressureSystem(np.zeros((4, 4, 2), dtype=np.uint8)).dim == 3
+
+
+# ------------------------------------------------------------------------------------- what weights are for
+
+
+@pytest.mark.parametrize(
+    ("known", "refusal"),
+    [
+        (TrainedRange(16, True, 0.2), ""),
+        (TrainedRange(15, True, 0.2), "32 voxels along an edge, tried on 15"),
+        (TrainedRange(16, False, 0.2), "there is air, trained without"),
+        (TrainedRange(16, True, 0.95), "of the voxels are fluid, trained on 0.95 to 1.00"),
+        (TrainedRange(16, True, 0.2, 0.5), "of the voxels are fluid, trained on 0.20 to 0.50"),
+    ],
+)
+def test_grids_outside_of_the_range(known: TrainedRange, refusal: str) -> None:
+    system = domain(32, 2, True)
+    found = known.refusal(system)
+    assert found.endswith(refusal)
+    assert bool(found) == bool(refusal)
+    assert TrainedRange.of(known.as_meta()) == known
+    assert TrainedRange.of({"kind": "dcdm"}) is None
+
+
+def test_what_is_outside_goes_to_multigrid(tmp_path: Path) -> None:
+    """With one line for a run of such grids, and one when the weights are used again."""
+    weights = load_weights(None, "spd_lmg", 2)
+    save_weights(
+        tmp_path / "closed.npz", Weights(weights.meta | TrainedRange(64, False, 0.2).as_meta(), weights.parameters)
+    )
+    options = SPDLMGPressureSolver(method="spd_lmg", weights="closed.npz")
+    make = PressureSolverMaker(options, tmp_path)
+    names = [make(domain(32, 2, is_open)).name for is_open in (False, True, True, False, True)]
+    assert names == ["spd_lmg", "mg_pcg", "mg_pcg", "spd_lmg", "mg_pcg"]
+    refused = "spd_lmg not used (there is air, trained without); mg_pcg instead"
+    assert make.events == [refused, "spd_lmg used again", refused]
+    make.reset()
+    make(domain(32, 2, True))
+    assert len(make.events) == 4
+    alone = PressureSolverMaker(options.model_copy(update={"fallback": "none"}), tmp_path)
+    assert alone(domain(32, 2, True)).name == "spd_lmg"
+    assert alone.events == []
+
+
+@pytest.mark.parametrize("name", shipped_weights())
+def test_shipped_weights_say_what_they_are_for(name: str) -> None:
+    weights = load_weights(None, name.rsplit("-", 1)[0].replace("-", "_"), int(name[-2]))
+    known = TrainedRange.of(weights.meta)
+    assert known is not None
+    assert known.cells >= 32

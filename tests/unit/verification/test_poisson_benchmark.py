@@ -11,7 +11,16 @@ from scipy.ndimage import label
 
 from femdeform import cli
 from femdeform.flow.pressure_system import FLUID, SOLID, PressureSystem
-from verification.benchmarks import environment, poisson, poisson_case, poisson_domains, poisson_tables
+from solvers.linear.poisson.dcdm_network import Architecture, glorot_parameters
+from solvers.linear.poisson.weights_file import Weights, save_weights
+from verification.benchmarks import (
+    environment,
+    learned_weights,
+    poisson,
+    poisson_case,
+    poisson_domains,
+    poisson_tables,
+)
 from verification.benchmarks.child_process import Outcome
 from verification.benchmarks.poisson import Results
 
@@ -21,10 +30,12 @@ def one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FEMDEFORM_THREADS", "1")
 
 
+@pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("name", poisson_domains.HARD)
 @pytest.mark.parametrize("n", [8, 16, 32])
-def test_a_hard_domain_is_one_room(name: str, n: int) -> None:
-    labels = poisson_domains.HARD[name](n)
+def test_a_hard_domain_is_one_room(name: str, n: int, dim: int) -> None:
+    labels = poisson_domains.HARD[name](n, dim)
+    assert labels.shape == (n,) * dim
     assert set(np.unique(labels)) == {FLUID, SOLID}
     assert label(labels == FLUID)[1] == 1
     system = PressureSystem(labels)
@@ -53,10 +64,12 @@ def test_plates_make_a_long_way() -> None:
 
 @pytest.mark.parametrize("scene", poisson.FLOWS)
 @pytest.mark.parametrize("is_open", [False, True])
-def test_right_hand_sides_of_flows(scene: str, is_open: bool) -> None:
-    frames = poisson_domains.record(scene, is_open, 12, (1, 2))
+@pytest.mark.parametrize("dim", [2, 3])
+def test_right_hand_sides_of_flows(scene: str, is_open: bool, dim: int) -> None:
+    frames = poisson_domains.record(scene, is_open, 12, (1, 2), dim)
     for labels, b in frames:
         system = PressureSystem(labels)
+        assert system.dim == dim
         assert system.n_closed == (0 if is_open else 1)
         assert (np.count_nonzero(labels == SOLID) > 0) == (scene != "plume")
         assert np.all(b[~system.unknown] == 0.0)
@@ -64,15 +77,41 @@ def test_right_hand_sides_of_flows(scene: str, is_open: bool) -> None:
     assert np.array_equal(frames[0][0], frames[1][0]) or scene == "spinning box"
 
 
-def test_every_solver_by_name(tmp_path: Path) -> None:
+@pytest.fixture
+def weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file of weights of deep conjugate directions that nobody trained, and that the benchmark knows."""
+    options = {"channels": 4, "left": 0, "low": 1, "up": 0}
+    parameters = glorot_parameters(Architecture(3, **options), np.random.default_rng(0))  # type: ignore[arg-type]
+    path = tmp_path / "poor.npz"
+    save_weights(path, Weights({"kind": "dcdm", "dim": 3, "architecture": options}, parameters))
+    monkeypatch.setenv(learned_weights.WEIGHTS_VARIABLE, f" {path} ;")
+    return path
+
+
+def test_whose_weights(weights: Path) -> None:
+    assert learned_weights.bench_weights("dcdm", 3).meta["architecture"]["channels"] == 4
+    # It is of another method: the shipped ones are taken.
+    assert learned_weights.bench_weights("spd_lmg", 3).meta["kind"] == "spd_lmg"
+    assert learned_weights.missing_weights("dcdm", 3) == learned_weights.missing_weights("spd_lmg", 2) == ""
+    weights.write_bytes(weights.read_bytes()[:-1])
+    assert "damaged" in learned_weights.missing_weights("dcdm", 3)
+
+
+def test_every_solver_by_name(tmp_path: Path, weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(poisson_case._FEWER, "dcdm", 20)
     file = str(tmp_path / "frames.npz")
-    case = {"scene": "blob", "open": True, "cells": 12, "frames": [1, 2], "file": file}
+    case = {"scene": "blob", "open": True, "cells": 12, "dim": 3, "frames": [1, 2], "file": file}
     assert poisson_case.record(case)["n_closed"] == 0
     counts = {}
     for name in poisson_case.SOLVERS:
         if name.startswith("petsc"):
             pytest.importorskip("petsc4py")
         found = poisson_case.solve({"solver": name, "file": file, "tolerances": [1e-4, 1e-6]})
+        if name == "dcdm":  # nobody trained it
+            assert found["reasons"] == ["20 iterations"]
+            assert found["tolerances"]["1e-06"]["iterations"] == [None, None]
+            assert len(found["residuals"]) == 21
+            continue
         assert found["reasons"] == []
         few, more = (found["tolerances"][tolerance]["iterations"] for tolerance in ("0.0001", "1e-06"))
         assert len(few) == len(more) == 2
@@ -96,7 +135,8 @@ def test_failures_and_winners_are_said() -> None:
         return Outcome("done", {**data, "reasons": ["5000 iterations"] if None in iterations else [], "memory": 10**7})
 
     solves = {"cg": done([4, 6], 0.2, 0.0), "mg v(2,2)": done([4, 4], 0.1, 0.3), "mic(0)": done([None, 5], 0.01, 0.0)}
-    results = Results([8], {}, {(8, "rooms", name): outcome for name, outcome in solves.items()})
+    grid = poisson.Grid(8, 3)
+    results = Results([grid], {}, {(grid, "rooms", name): outcome for name, outcome in solves.items()})
     found = poisson_tables.findings(results)
     solved, _, _, quickest = found.tables
     assert [getattr(entry, "long", entry) for entry in solved.rows[0]] == [
@@ -112,18 +152,23 @@ def test_failures_and_winners_are_said() -> None:
 
 def test_the_whole_benchmark_of_poisson(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(environment.CELLS_VARIABLE, "8")
-    monkeypatch.setenv(environment.ONLY_VARIABLE, "plates: mg; plume, closed: cg; spinning box, open: mic")
+    wanted = "8^3, plates: mg; 8^2, plates: spd; plume, closed: cg; spinning box, open: mic"
+    monkeypatch.setenv(environment.ONLY_VARIABLE, wanted)
     assert cli.main(["bench", "poisson", "--out", str(tmp_path / "out")]) == 0
     data = json.loads((tmp_path / "out" / "bench.json").read_text())["benchmarks"]["poisson"]
-    found = [(row["scene"], row["solver"], row["status"]) for row in data["solves"]]
+    found = [(row["dim"], row["scene"], row["solver"], row["status"]) for row in data["solves"]]
     assert found == [
-        ("plume, closed", "cg", "done"),
-        ("spinning box, open", "mic(0)", "done"),
-        ("plates", "mg v(1,1)", "done"),
-        ("plates", "mg v(2,2)", "done"),
+        (2, "plume, closed", "cg", "done"),
+        (2, "spinning box, open", "mic(0)", "done"),
+        (2, "plates", "spd_lmg", "done"),
+        (3, "plume, closed", "cg", "done"),
+        (3, "spinning box, open", "mic(0)", "done"),
+        (3, "plates", "mg v(1,1)", "done"),
+        (3, "plates", "mg v(2,2)", "done"),
     ]
-    pictures = sorted(path.name for path in (tmp_path / "out").glob("*.png"))
-    assert pictures == ["poisson-8-plates.png", "poisson-8-plume-closed.png", "poisson-8-spinning-box-open.png"]
+    pictures = {path.name for path in (tmp_path / "out").glob("*.png")}
+    scenes = ("plates", "plume-closed", "spinning-box-open")
+    assert pictures == {f"poisson-8-{dim}d-{scene}.png" for dim in (2, 3) for scene in scenes}
     page = (tmp_path / "out" / "bench.md").read_text()
     for title in ("8^3 voxels, to 0.0001", "8^3 voxels: set-up of a domain", "8^3 voxels: the quickest"):
         assert f"### {title}" in page

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from femdeform.flow.pressure_system import AIR, FLUID, SOLID, GridArray, PressureSystem
 
 # Fewer fluid voxels than this part of the grid make no domain.
-_LEAST_FLUID = 0.2
+LEAST_FLUID = 0.2
 HARD = 0.3
 _AIR_LAYER = 0.35
 _WAVY_SURFACE = 0.15
@@ -39,7 +39,7 @@ def random_labels(shape: tuple[int, ...], rng: np.random.Generator, hard: float 
         elif kind < _AIR_LAYER + _WAVY_SURFACE:
             labels[(height > _surface(shape, rng)) & (labels == FLUID)] = AIR
         largest = _largest_component(labels)
-        if np.count_nonzero(largest == FLUID) > _LEAST_FLUID * largest.size:
+        if np.count_nonzero(largest == FLUID) > LEAST_FLUID * largest.size:
             return largest
 
 

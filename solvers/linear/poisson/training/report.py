@@ -13,8 +13,15 @@ from femdeform.flow.pressure_system import FLUID, PressureSystem
 from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.interface import PoissonSolver
 from solvers.linear.poisson.multigrid import Multigrid
-from solvers.linear.poisson.training.domains import blob_labels, plate_labels, porous_labels, smooth_divergence
-from solvers.linear.poisson.training.loop import MOST_ITERATIONS, TOLERANCE, Learner, Progress
+from solvers.linear.poisson.trained_range import TrainedRange
+from solvers.linear.poisson.training.domains import (
+    LEAST_FLUID,
+    blob_labels,
+    plate_labels,
+    porous_labels,
+    smooth_divergence,
+)
+from solvers.linear.poisson.training.loop import MOST_ITERATIONS, TOLERANCE, Learner, Progress, validation_systems
 from solvers.linear.poisson.training.settings import TrainingSettings
 from solvers.linear.poisson.weights_file import Weights, save_weights
 
@@ -42,7 +49,8 @@ def write_results(
 ) -> list[Path]:
     """Write ``NAME.npz``, its sum, ``NAME.md`` and ``NAME-loss.png``; their paths."""
     weights = settings.out / f"{name}.npz"
-    digest = save_weights(weights, Weights(learner.meta(), progress.best))
+    meta = learner.meta() | trained_range(settings).as_meta()
+    digest = save_weights(weights, Weights(meta, progress.best))
     picture = settings.out / f"{name}-loss.png"
     _draw(progress, picture)
     card = settings.out / f"{name}.md"
@@ -110,9 +118,26 @@ def _facts(settings: TrainingSettings, progress: Progress, command: str, digest:
     }
 
 
+def trained_range(settings: TrainingSettings) -> TrainedRange:
+    """What weights of such a run are for.
+
+    On the route of Ritz vectors, which trains on the empty box, solids count as far as the validation has some; it does
+    not train on air.
+    """
+    largest = max(_test_cells(settings))
+    if settings.kind == "dcdm" and settings.route == "ritz":
+        closed = [system for system in validation_systems(settings) if system.n_closed]
+        return TrainedRange(largest, False, min(s.n_unknowns for s in closed) / float(np.prod(settings.shape)))
+    return TrainedRange(largest, True, LEAST_FLUID)
+
+
+def _test_cells(settings: TrainingSettings) -> tuple[int, int]:
+    return settings.cells, 2 * settings.cells
+
+
 def _test_systems(settings: TrainingSettings) -> list[tuple[str, PressureSystem]]:
     found = []
-    for cells in (settings.cells, 2 * settings.cells):
+    for cells in _test_cells(settings):
         shape = (cells,) * settings.dim
         labels = {
             "empty box": np.full(shape, FLUID, dtype=np.uint8),

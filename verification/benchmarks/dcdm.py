@@ -1,0 +1,106 @@
+"""The benchmark of deep conjugate directions: what the source draws and claims, beside classical solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from femdeform import jit
+from verification.benchmarks import child_process
+from verification.benchmarks.child_process import Outcome, skipped
+from verification.benchmarks.environment import chosen_cells, is_wanted
+from verification.benchmarks.poisson import Grid
+from verification.benchmarks.run import Findings
+
+GRIDS = (Grid(64, 2), Grid(128, 2), Grid(32, 3), Grid(64, 3))
+# Steps of the flow whose pressures are solved for; fewer in space, where networks are slow.
+FRAMES = (5, 10, 15, 20, 25, 30, 35, 40)
+FRAMES_IN_SPACE = (20, 40)
+# Diffusion numbers of heat steps: from one that any solver takes in its stride to one that is all but steady.
+NUMBERS = (1.0, 100.0, 1e4)
+# Optimiser's steps and voxels along an edge of a square; half a minute each on a core that nobody else uses. The
+# networks are tried on twice as many voxels along an edge.
+STEPS, CELLS = 400, 32
+# Networks by name: the word of `femdeform train dcdm --model`, and the route.
+NETWORKS: dict[str, tuple[str, str]] = {
+    "the source's for 64^3": ("source-64", "on_policy"),
+    "the same, trained as the source's": ("source-64", "ritz"),
+    "the source's for 128^3": ("source-128", "on_policy"),
+    "no residual connections": ("no-residual", "on_policy"),
+    "no sum over halving": ("no-skip", "on_policy"),
+    "convolutions only": ("no-pooling", "on_policy"),
+    "8 channels": ("narrow", "on_policy"),
+    "no biases": ("no-bias", "on_policy"),
+    "no biases, sees fluid and air": ("masks", "on_policy"),
+}
+
+_CASE = "verification.benchmarks.dcdm_case"
+
+
+@dataclass
+class Results:
+    """Outcomes of all cases; `dcdm_tables` makes tables of them.
+
+    Attributes
+    ----------
+    pressures : dict
+        By grid and whether it is open.
+    heat : dict
+        By grid.
+    networks : dict
+        By name, see `NETWORKS`.
+    training, tests : int
+        Voxels along an edge that networks are trained and tried on.
+    """
+
+    training: int
+    tests: int
+    pressures: dict[tuple[Grid, bool], Outcome] = field(default_factory=dict)
+    heat: dict[Grid, Outcome] = field(default_factory=dict)
+    networks: dict[str, Outcome] = field(default_factory=dict)
+
+
+def run_dcdm(say: Callable[[str], None]) -> Findings:
+    """Run all cases, one after the other, each in a process of its own.
+
+    Parameters
+    ----------
+    say : callable
+        Gets a line of text before each case.
+
+    Returns
+    -------
+    Findings
+    """
+    from verification.benchmarks import dcdm_tables
+
+    chosen = chosen_cells()
+    grids = list(GRIDS) if chosen is None else [Grid(chosen, dim) for dim in (2, 3)]
+    training = CELLS if chosen is None else chosen
+    results = Results(training, 2 * training)
+    for grid in grids:
+        for is_open in (False, True):
+            name = f"{grid}: pressures, {'open' if is_open else 'closed'}"
+            frames = FRAMES if grid.dim == 2 else FRAMES_IN_SPACE
+            case = {"kind": "compare", **grid._asdict(), "frames": frames, "open": is_open}
+            if is_wanted(name):
+                results.pressures[grid, is_open] = _run(grid, name, case, say)
+        if is_wanted(name := f"{grid}: heat"):
+            results.heat[grid] = _run(grid, name, {"kind": "heat", **grid._asdict(), "numbers": NUMBERS}, say)
+    for network, (model, route) in NETWORKS.items():
+        if is_wanted(name := f"training: {network}"):
+            sizes = {"cells": results.training, "test_cells": results.tests, "steps": STEPS, "frames": FRAMES}
+            say(name)
+            case = {"kind": "train", "model": model, "route": route, **sizes}
+            results.networks[network] = child_process.run_module(_CASE, case, jit.default_threads())
+    return dcdm_tables.findings(results)
+
+
+def _run(grid: Grid, name: str, case: dict[str, object], say: Callable[[str], None]) -> Outcome:
+    from verification.benchmarks.learned_weights import missing_weights
+
+    reason = missing_weights("dcdm", grid.dim)
+    if reason:
+        return skipped(reason)
+    say(name)
+    return child_process.run_module(_CASE, case, jit.default_threads())
