@@ -122,9 +122,7 @@ def test_momentum(dim: int, order: int, mass: str) -> None:
 
 def energy(simulation: Any) -> float:
     problem, state = simulation.problem, simulation.state
-    return float(
-        problem.kinetic_energy(state.v) + problem.elastic_energy(state.x) + problem.load_potential(state.x)
-    )
+    return float(problem.kinetic_energy(state.v) + problem.elastic_energy(state.x) + problem.load_potential(state.x))
 
 
 @pytest.mark.parametrize(("dim", "order"), [(2, 2), (3, 1)])

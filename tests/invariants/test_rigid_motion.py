@@ -20,9 +20,7 @@ def bodies(dim: int) -> dict[str, Any]:
     return {
         "p1": body(block([1, 1, 1], [1, 1, 1]), SOFT),
         "p2": body(block([1, 1, 1], [1, 1, 1], translate=[2, 0, 0]), SOFT, element_order=2),
-        "cloth": body(
-            {"recipe": "cloth", "size": [1.0, 1.0], "cells": [1, 1]}, SOFT, kind="membrane", thickness=0.1
-        ),
+        "cloth": body({"recipe": "cloth", "size": [1.0, 1.0], "cells": [1, 1]}, SOFT, kind="membrane", thickness=0.1),
         "rod": body({"recipe": "rod", "cells": 2}, SOFT, kind="rod", cross_section=0.1),
     }
 
@@ -87,9 +85,7 @@ def test_a_turned_scene_gives_a_turned_answer(dim: int) -> None:
         turn = np.eye(3) + np.sin(0.9) * cross + (1.0 - np.cos(0.9)) * cross @ cross
     straight, turned = run(hanging(dim, None)), run(hanging(dim, turn))
     u = straight.state.x - straight.discretization.points
-    np.testing.assert_allclose(
-        turned.state.x - turned.discretization.points, u @ turn.T, atol=1e-9 * np.abs(u).max()
-    )
+    np.testing.assert_allclose(turned.state.x - turned.discretization.points, u @ turn.T, atol=1e-9 * np.abs(u).max())
 
 
 @pytest.mark.parametrize(("dim", "order"), [(2, 1), (2, 2), (3, 1), (3, 2)])
@@ -98,9 +94,7 @@ def test_the_inside_follows_a_turned_boundary(dim: int, order: int) -> None:
     turning = {"kind": "rotate", "on": "b.boundary", "rate": 2.0, "center": [0.2, 0.1, 0.0][:dim]}
     if dim == 3:
         turning["axis"] = [0.3, 1.0, -0.2]
-    data = scene(
-        {"b": body(block([1.0] * dim, [3] * dim), element_order=order)}, turning, time=quasistatic()
-    )
+    data = scene({"b": body(block([1.0] * dim, [3] * dim), element_order=order)}, turning, time=quasistatic())
     simulation = build(data)
     assert simulation.problem.free.any()
     step(simulation)

@@ -156,9 +156,7 @@ def test_a_mesh_file_that_has_changed(tmp_path: Path, say: Say) -> None:
     assert say("run", scene, "--out", out, "--quiet").code == 0
     whole = tmp_path / "whole"
     shutil.copytree(out, whole)
-    assert read_checkpoint(out).mesh_files == {
-        "b": hashlib.sha256((tmp_path / "part.mesh").read_bytes()).hexdigest()
-    }
+    assert read_checkpoint(out).mesh_files == {"b": hashlib.sha256((tmp_path / "part.mesh").read_bytes()).hexdigest()}
     text = (tmp_path / "part.mesh").read_text()
     row = next(line for line in text.splitlines() if line.startswith("1 "))
     (tmp_path / "part.mesh").write_text(text.replace(row, row.replace("1 ", "2 ", 1), 1))

@@ -110,9 +110,11 @@ def test_lumped_and_consistent_bodies_share_a_scene() -> None:
 @ELEMENTS
 def test_patch(dim: int, order: int) -> None:
     """x = A X + b on the boundary of an irregular mesh gives F = A in every element."""
-    mesh = {"recipe": "beam", "size": [1.0, 0.6, 0.8], "element_size": 0.5} if dim == 3 else {
-        "recipe": "plate_with_hole", "size": [1.0, 1.0], "radius": 0.2, "element_size": 0.3
-    }
+    mesh = (
+        {"recipe": "beam", "size": [1.0, 0.6, 0.8], "element_size": 0.5}
+        if dim == 3
+        else {"recipe": "plate_with_hole", "size": [1.0, 1.0], "radius": 0.2, "element_size": 0.3}
+    )
     A = np.eye(dim) + 0.3 * np.random.default_rng(1).standard_normal((dim, dim))
     data = scene({"b": body(mesh, element_order=order)}, {"kind": "fixed", "on": "b.boundary"}, time=quasistatic())
     simulation = build(data)

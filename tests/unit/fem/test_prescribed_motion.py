@@ -192,8 +192,6 @@ def test_initial_spin(order: int) -> None:
 
 
 def test_initial_spin_in_the_plane_about_a_point() -> None:
-    simulation = beam(
-        {"kind": "initial_velocity", "on": "b", "angular_velocity": 3.0, "center": [1.0, 2.0]}, dim=2
-    )
+    simulation = beam({"kind": "initial_velocity", "on": "b", "angular_velocity": 3.0, "center": [1.0, 2.0]}, dim=2)
     X = simulation.discretization.points - [1.0, 2.0]
     np.testing.assert_allclose(simulation.state.v, 3.0 * np.stack([-X[:, 1], X[:, 0]], axis=1), atol=1e-14)

@@ -421,9 +421,7 @@ def _write_step(path: Path, draw: Callable[[Any], None], capfd: pytest.CaptureFi
     capfd.readouterr()  # the geometry kernel reports what it writes
 
 
-def test_step_solid(
-    tmp_path: Path, check_solid: Callable[..., None], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_step_solid(tmp_path: Path, check_solid: Callable[..., None], capfd: pytest.CaptureFixture[str]) -> None:
     def draw(occ: Any) -> None:
         block = occ.addBox(0, 0, 0, 40.0, 20.0, 10.0)
         hole = occ.addCylinder(20.0, 10.0, 0, 0, 0, 10.0, 4.0)

@@ -98,9 +98,7 @@ def test_block_as_surface_and_as_line() -> None:
         np.testing.assert_array_equal(line.points[line.facet_groups["left"][0, 0], 0], 0.0)
 
 
-@pytest.mark.parametrize(
-    ("plane", "normal", "edges"), [("xz", 1, ("back", "front")), ("xy", 2, ("bottom", "top"))]
-)
+@pytest.mark.parametrize(("plane", "normal", "edges"), [("xz", 1, ("back", "front")), ("xy", 2, ("bottom", "top"))])
 def test_cloth(plane: str, normal: int, edges: tuple[str, str]) -> None:
     mesh = build(recipe="cloth", size=[2.0, 1.0], cells=[4, 6], plane=plane)
     areas = area_vectors(mesh.points, mesh.cells)

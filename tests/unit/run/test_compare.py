@@ -213,9 +213,7 @@ def test_the_run_of_median_length_is_reported(tmp_path: Path, monkeypatch: pytes
 
 def test_a_variant_that_diverges_stops_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     let_misbehave(monkeypatch)
-    comparison = compare(
-        write_bar(tmp_path), [*misbehaving("nan", "nan at the end"), EXACT], iterations=50, steps=3
-    )
+    comparison = compare(write_bar(tmp_path), [*misbehaving("nan", "nan at the end"), EXACT], iterations=50, steps=3)
     first, last = comparison.of("nan")
     assert first["status"] == "converged"
     assert last["status"] == "diverged"
