@@ -130,6 +130,7 @@ class PointSumQuantity(SceneModel):
     kind: Literal[
         "mass",
         "volume",
+        "visible_volume",
         "kinetic_energy",
         "max_speed",
         "surface_area",
@@ -143,7 +144,8 @@ class PointSumQuantity(SceneModel):
         "min_jacobian",
         "virial",
     ] = Field(
-        description="mass [kg], volume [m^3], kinetic energy [J], largest speed of a point [m/s], area of the sampled "
+        description="mass [kg], volume by the J of the points [m^3], visible volume: inside the contour of the points "
+        "[m^3], kinetic energy [J], largest speed of a point [m/s], area of the sampled "
         "surface [m^2] and its energy [J], sum of m c T [J], temperatures weighed by mass [K], part of the mass that "
         "is liquid [-], mean pressure of liquid points by volume [Pa], smallest volume ratio [-]; virial: "
         "d int p dV / ((d - 1) int k dA) - 1 of liquid in d dimensions, whose mean over time is zero at rest [-]"
