@@ -59,6 +59,7 @@ def explicit_step(
     time: float = 0.0,
     transfer: GroupTransfer = "apic",
     flip: float = 0.95,
+    spreads_stress: bool = True,
 ) -> GroupStep:
     """Advance points by one symplectic Euler step.
 
@@ -85,8 +86,10 @@ def explicit_step(
         ``pic``, ``flip``, ``apic``, or ``group_apic``, see `mpm.groups`.
     flip : float
         Part of FLIP in its blend with PIC [-].
+    spreads_stress : bool
+        See `Groups`.
     """
-    groups = Groups.split(particles.x, particles.mass, samples, grid)
+    groups = Groups.split(particles.x, particles.mass, samples, grid, spreads_stress)
     is_affine = transfer in ("apic", "group_apic")
     affine = particles.affine if is_affine else np.zeros_like(particles.affine)
     mass, before = groups.to_grid(particles.v, affine, transfer == "group_apic")

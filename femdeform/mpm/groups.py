@@ -11,6 +11,11 @@ The plain scheme takes it as the affine velocity A_p of each member; ``group_api
 second moment D_p of the group, and offsets from x_p: it conserves the same, and reproduces an affine velocity exactly,
 where the plain scheme makes it larger at points with samples.
 
+A point moves with the mean velocity of its group, so its deformation is the mean over the group as well, and its stress
+acts at all members, in equal parts: what the nodes do is then what the point's J or F has seen. With the stress and the
+deformation at x_p alone, as published (`spreads_stress` false), the tension at samples and the pressure at points have
+different nodes: points at the surface creep inwards, in a motion that their J never sees, and liquid loses volume.
+
 References
 ----------
 D. Hyde, S. Gagniere, A. Marquez-Razon, J. Teran, An implicit updated Lagrangian formulation for liquids with large
@@ -48,6 +53,8 @@ class Groups:
         Number of members of each group.
     stencils : Stencils
         Of all members.
+    spreads_stress : bool
+        Stress acts at all members of a group, and deformation is the mean over them; else at the points alone.
     """
 
     mass: FloatArray
@@ -55,9 +62,17 @@ class Groups:
     owner: IntArray
     sizes: IntArray
     stencils: Stencils
+    spreads_stress: bool = True
 
     @classmethod
-    def split(cls, x: FloatArray, mass: FloatArray, samples: SurfaceSamples | None, grid: Grid) -> Groups:
+    def split(
+        cls,
+        x: FloatArray,
+        mass: FloatArray,
+        samples: SurfaceSamples | None,
+        grid: Grid,
+        spreads_stress: bool = True,
+    ) -> Groups:
         """Groups of points x (n, dim) with masses (n,); without samples each point is alone.
 
         Raises
@@ -74,7 +89,8 @@ class Groups:
             near = samples.owner
             positions = np.concatenate([positions, samples.points, 2.0 * positions[near] - samples.points])
         owner = np.concatenate([own, near, near])
-        return cls(np.asarray(mass), positions, owner, np.bincount(owner, minlength=n), grid.stencils(positions))
+        sizes = np.bincount(owner, minlength=n)
+        return cls(np.asarray(mass), positions, owner, sizes, grid.stencils(positions), spreads_stress)
 
     @property
     def n(self) -> int:
@@ -93,8 +109,8 @@ class Groups:
 
     @cached_property
     def force_gradients(self) -> FloatArray:
-        """Gradients of points and samples whose forces add up to nothing, see `consistent_gradients` [1/m]."""
-        return consistent_gradients(self.stencils, self.n + self.samples.size)
+        """Gradients of the members whose forces add up to nothing, see `consistent_gradients` [1/m]."""
+        return consistent_gradients(self.stencils, self.owner.size)
 
     def arms(self) -> FloatArray:
         """Positions of the members relative to their points, (n_members, dim) [m]."""
@@ -144,13 +160,17 @@ class Groups:
         return self.mean(carried), self.mean(turned)
 
     def gradients(self, velocity: FloatArray) -> FloatArray:
-        """Gradients of the velocity at the points themselves, ``sum v_i grad N_i(x_p)^T``, (n_points, d, d) [1/s]."""
+        """Gradients of the velocity ``sum v_i grad N_i^T``, means over the groups, (n_points, d, d) [1/s].
+
+        At the points themselves without `spreads_stress`.
+        """
         dim = velocity.shape[1]
-        out = np.empty((self.mass.size, dim, dim))
+        members = np.arange(self.owner.size) if self.spreads_stress else self.points
+        out = np.empty((members.size, dim, dim))
         kernels.velocity_gradients(
-            np.ascontiguousarray(velocity), self.stencils.nodes, self.stencils.gradients, self.points, out
+            np.ascontiguousarray(velocity), self.stencils.nodes, self.stencils.gradients, members, out
         )
-        return out
+        return self.mean(out) if self.spreads_stress else out
 
     def forces(self, stress: FloatArray) -> FloatArray:
         """Forces of stresses at the nodes (n_nodes, dim) [N].
@@ -161,8 +181,11 @@ class Groups:
             ``V0 P F^T`` of each point [J], see `group_step.stresses`.
         """
         s = self.stencils
-        point = np.full(self.owner.size, -1, dtype=np.int64)
-        point[self.points] = np.arange(self.mass.size)
+        if self.spreads_stress:
+            point, stress = self.owner, stress / self.sizes[:, None]
+        else:
+            point = np.full(self.owner.size, -1, dtype=np.int64)
+            point[self.points] = np.arange(self.mass.size)
         out = np.empty_like(s.positions)
         kernel = kernels.stress_forces_2d if out.shape[1] == 2 else kernels.stress_forces_3d
         kernel(np.ascontiguousarray(stress), point, self.force_gradients, s.offsets, s.entries, out)

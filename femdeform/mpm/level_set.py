@@ -182,8 +182,9 @@ def union_of_spheres(points: FloatArray, spacing: float, radius: float | None = 
 def visible_volume(points: FloatArray, volume: FloatArray, spacing: float, radius: float | None = None) -> float:
     """What points fill as their contour shows it, whatever they say of their own volumes [m^3], in 2D [m^2].
 
-    The content of the contour less its area times its distance from where the liquid ends, the radius of the spheres
-    less half the distance of points at rest, ``volume^(1/dim)``. Points that come closer together than that make it
+    The content V of the contour, of area A, less a layer as thick as its distance d from where the liquid ends, the
+    radius of the spheres less half the distance of points at rest, ``volume^(1/dim)``: ``V - A d + pi d^2`` in 2D,
+    ``V - A d + sqrt(4 pi A) d^2 - 4/3 pi d^3`` in 3D (Steiner). Points that come closer together than at rest make it
     smaller than the sum of their volumes.
 
     Parameters
@@ -197,8 +198,9 @@ def visible_volume(points: FloatArray, volume: FloatArray, spacing: float, radiu
 
     Limitations
     -----------
-    First order in the distance over the radius of curvature: a ball of five cells' radius shows 0.97 of its volume, one
-    of three cells' 0.9. To be compared with its value at the start.
+    The last terms are those of one body, convex in 2D and a ball in 3D; others, and several of them, show a little
+    less than they have. The contour has ripples that are not counted, 3 to 10 percent of the volume of a small drop. To
+    be compared with its value at the start.
     """
     dim = points.shape[1]
     content = area = 0.0
@@ -207,7 +209,9 @@ def visible_volume(points: FloatArray, volume: FloatArray, spacing: float, radiu
         content += facets.volume
         area += float(facets.measure.sum())
     outside = spacing * (RADII[dim] if radius is None else radius) - 0.5 * float(np.mean(volume ** (1.0 / dim)))
-    return content - outside * area
+    if dim == 2:
+        return content - outside * area + np.pi * outside**2
+    return content - outside * area + float(np.sqrt(4.0 * np.pi * area)) * outside**2 - 4.0 / 3.0 * np.pi * outside**3
 
 
 def _box_size(points: FloatArray, spacing: float) -> float:

@@ -216,6 +216,7 @@ class PointStep:
             time=time,
             transfer=scene.transfer.scheme,
             flip=scene.transfer.flip,
+            spreads_stress=scene.surface.stress == "group",
         )
         return done.particles, PointReport(True, "", n_nodes=done.mass.size, n_bounded=done.n_bounded)
 
@@ -225,7 +226,8 @@ class PointStep:
         scene = self.scene
         assert self._solver is not None
         tense = surface if self.has_tension else None
-        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid)
+        spreads = scene.surface.stress == "group"
+        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid, spreads)
         is_affine = scene.transfer.scheme in ("apic", "group_apic")
         affine = points.affine if is_affine else np.zeros_like(points.affine)
         mass, velocity = groups.to_grid(points.v, affine, scene.transfer.scheme == "group_apic")
@@ -247,6 +249,7 @@ class PointStep:
                 )
                 for wall in self.walls
             ],
+            groups.owner if spreads else None,
         )
         solution = solve_step(self._potential, self._solver, scene.solver.tolerance, observe)
         report = PointReport(
