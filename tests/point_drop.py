@@ -73,7 +73,7 @@ class Drop:
             dt,
             self.tension,
             walls,
-            self.owner if self.spread else None,
+            (self.owner, 1.0 / np.bincount(self.owner)[self.owner]) if self.spread else None,
         )
 
     # ------------------------------------------------------------------------------------ the reference

@@ -18,7 +18,7 @@ from femdeform.mpm.groups import Groups
 from femdeform.mpm.particles import Particles
 from femdeform.mpm.rigid_walls import RigidWall, constrain
 from femdeform.mpm.surface_samples import SurfaceSamples
-from femdeform.types import FloatArray
+from femdeform.types import BoolArray, FloatArray
 
 GroupTransfer = Literal["pic", "flip", "apic", "group_apic"]
 
@@ -59,7 +59,7 @@ def explicit_step(
     time: float = 0.0,
     transfer: GroupTransfer = "apic",
     flip: float = 0.95,
-    spreads_stress: bool = True,
+    spreads_stress: bool | BoolArray = True,
 ) -> GroupStep:
     """Advance points by one symplectic Euler step.
 
@@ -86,8 +86,8 @@ def explicit_step(
         ``pic``, ``flip``, ``apic``, or ``group_apic``, see `mpm.groups`.
     flip : float
         Part of FLIP in its blend with PIC [-].
-    spreads_stress : bool
-        See `Groups`.
+    spreads_stress : bool or (n_samples,) bool
+        See `Groups.split`.
     """
     groups = Groups.split(particles.x, particles.mass, samples, grid, spreads_stress)
     is_affine = transfer in ("apic", "group_apic")

@@ -13,8 +13,9 @@ where the plain scheme makes it larger at points with samples.
 
 A point moves with the mean velocity of its group, so its deformation is the mean over the group as well, and its stress
 acts at all members, in equal parts: what the nodes do is then what the point's J or F has seen. With the stress and the
-deformation at x_p alone, as published (`spreads_stress` false), the tension at samples and the pressure at points have
+deformation at x_p alone, as published, the tension at samples and the pressure at points have
 different nodes: points at the surface creep inwards, in a motion that their J never sees, and liquid loses volume.
+Scenes leave out samples inside walls that hold liquid, see `femdeform.run.point_step`.
 
 References
 ----------
@@ -34,7 +35,7 @@ from femdeform.mpm.grid import Grid, Stencils
 from femdeform.mpm.point_quadrature import consistent_gradients
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.transfers import momentum_to_grid, velocity_to_points
-from femdeform.types import FloatArray, IntArray
+from femdeform.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Groups:
         Number of members of each group.
     stencils : Stencils
         Of all members.
-    spreads_stress : bool
-        Stress acts at all members of a group, and deformation is the mean over them; else at the points alone.
+    shares : (n_members,) float64
+        Part of a point's stress that acts at each member, and weight of its deformation there [-].
     """
 
     mass: FloatArray
@@ -62,7 +63,7 @@ class Groups:
     owner: IntArray
     sizes: IntArray
     stencils: Stencils
-    spreads_stress: bool = True
+    shares: FloatArray
 
     @classmethod
     def split(
@@ -71,9 +72,20 @@ class Groups:
         mass: FloatArray,
         samples: SurfaceSamples | None,
         grid: Grid,
-        spreads_stress: bool = True,
+        spreads_stress: bool | BoolArray = True,
     ) -> Groups:
         """Groups of points x (n, dim) with masses (n,); without samples each point is alone.
+
+        Parameters
+        ----------
+        x, mass
+            The points [m], [kg].
+        samples : SurfaceSamples, optional
+            Of their surface.
+        grid : Grid
+            With quadratic splines.
+        spreads_stress : bool or (n_samples,) bool
+            Which samples, with their mirror images, have a share of the stress of their points.
 
         Raises
         ------
@@ -90,7 +102,10 @@ class Groups:
             positions = np.concatenate([positions, samples.points, 2.0 * positions[near] - samples.points])
         owner = np.concatenate([own, near, near])
         sizes = np.bincount(owner, minlength=n)
-        return cls(np.asarray(mass), positions, owner, sizes, grid.stencils(positions), spreads_stress)
+        spread = np.broadcast_to(np.asarray(spreads_stress), near.shape)
+        counts = np.concatenate([np.ones(n), spread, spread])
+        shares = counts / np.bincount(owner, counts, n)[owner]
+        return cls(np.asarray(mass), positions, owner, sizes, grid.stencils(positions), shares)
 
     @property
     def n(self) -> int:
@@ -160,17 +175,16 @@ class Groups:
         return self.mean(carried), self.mean(turned)
 
     def gradients(self, velocity: FloatArray) -> FloatArray:
-        """Gradients of the velocity ``sum v_i grad N_i^T``, means over the groups, (n_points, d, d) [1/s].
-
-        At the points themselves without `spreads_stress`.
-        """
+        """Gradients of the velocity ``sum v_i grad N_i^T``, means over groups by `shares`, (n_points, d, d) [1/s]."""
         dim = velocity.shape[1]
-        members = np.arange(self.owner.size) if self.spreads_stress else self.points
+        members = np.flatnonzero(self.shares)
         out = np.empty((members.size, dim, dim))
         kernels.velocity_gradients(
             np.ascontiguousarray(velocity), self.stencils.nodes, self.stencils.gradients, members, out
         )
-        return self.mean(out) if self.spreads_stress else out
+        owner, shares = self.owner[members], self.shares[members]
+        sums = [np.bincount(owner, shares * column, self.n) for column in out.reshape(members.size, -1).T]
+        return np.stack(sums, axis=1).reshape(self.n, dim, dim)
 
     def forces(self, stress: FloatArray) -> FloatArray:
         """Forces of stresses at the nodes (n_nodes, dim) [N].
@@ -181,12 +195,9 @@ class Groups:
             ``V0 P F^T`` of each point [J], see `group_step.stresses`.
         """
         s = self.stencils
-        if self.spreads_stress:
-            point, stress = self.owner, stress / self.sizes[:, None]
-        else:
-            point = np.full(self.owner.size, -1, dtype=np.int64)
-            point[self.points] = np.arange(self.mass.size)
+        member = np.where(self.shares > 0.0, np.arange(self.owner.size), -1)
         out = np.empty_like(s.positions)
         kernel = kernels.stress_forces_2d if out.shape[1] == 2 else kernels.stress_forces_3d
-        kernel(np.ascontiguousarray(stress), point, self.force_gradients, s.offsets, s.entries, out)
+        shared = np.ascontiguousarray(self.shares[:, None] * stress[self.owner])
+        kernel(shared, member, self.force_gradients, s.offsets, s.entries, out)
         return out

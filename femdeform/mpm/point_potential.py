@@ -111,7 +111,7 @@ class PointPotential:
         dt: float,
         tension: SurfaceTension | None = None,
         walls: Sequence[NodeWall] = (),
-        members: IntArray | None = None,
+        members: tuple[IntArray, FloatArray] | None = None,
     ) -> None:
         """Take what the transfer to the grid has left, and freeze materials, surface and walls for a step.
 
@@ -134,9 +134,9 @@ class PointPotential:
             Of the samples.
         walls : sequence of NodeWall
             At the active nodes.
-        members : (n_members,) int64, optional
-            Material point of each point of the stencils: its energy is spread over all of them, in equal parts. By
-            default material points have theirs to themselves.
+        members : ((n_members,) int64, (n_members,) float64), optional
+            Material point of each point of the stencils, and the part of its energy that acts there [-]. By default
+            material points have theirs to themselves.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class PointPotential:
         """
         n_samples = 0 if tension is None else tension.samples.n
         n = points.n + n_samples
-        if len(stencils.weights) < n or (members is not None and members.size != len(stencils.weights)):
+        if len(stencils.weights) < n or (members is not None and members[0].size != len(stencils.weights)):
             raise ValueError("stencils of the material points and of all samples are needed")
         if not (mass > 0.0).all():
             raise ValueError("an active node has no mass")
@@ -161,9 +161,10 @@ class PointPotential:
         rows, of = np.arange(n), np.concatenate([np.arange(points.n), np.full(n_samples, -1)])
         share = np.ones(n)
         if members is not None:
-            rows = np.concatenate([rows, np.arange(points.n, members.size)])
-            of = np.concatenate([of, members[points.n :]])
-            share = 1.0 / np.bincount(members, minlength=points.n)[of]
+            owner, parts = members
+            more = points.n + np.flatnonzero(parts[points.n :])
+            rows, of = np.concatenate([rows, more]), np.concatenate([of, owner[more]])
+            share = parts[rows]
         n = rows.size
         liquid, solids = rows_of(points, materials, of)
         every_solid = np.sort(np.concatenate([np.empty(0, np.int64), *solids.values()]))

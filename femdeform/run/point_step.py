@@ -29,7 +29,7 @@ from femdeform.run.heated_places import heat_boundary
 from femdeform.run.point_setup import Materials, heat_sources, make_materials, make_walls
 from femdeform.scene.point_schema import PointScene
 from femdeform.step_problem import IterationObserver, StepSolver
-from femdeform.types import FloatArray, Mesh
+from femdeform.types import BoolArray, FloatArray, Mesh
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,11 @@ class PointReport:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Samples of the surface and their tension [N/m]."""
+    """Samples of the surface, their tension [N/m], and which of them have a share of their points' stress."""
 
     samples: SurfaceSamples
     k: FloatArray
+    spreads: BoolArray
 
 
 class PointStep:
@@ -94,6 +95,7 @@ class PointStep:
         self.scene = scene
         self.materials: Materials = make_materials(scene)
         self.walls: list[RigidWall] = make_walls(scene, meshes)
+        self._holding = [wall for wall in self.walls if wall.kind != "separate"]
         self._solver = solver
         self._grid = Grid(scene.grid.cell_size, "quadratic")
         self._low, self._high = np.array(scene.grid.low), np.array(scene.grid.high)
@@ -160,11 +162,14 @@ class PointStep:
         if not self._samples_surface:
             return None
         samples = self._sampler.sample(points.x, step)
-        k = np.zeros(samples.n)
+        k, spreads = np.zeros(samples.n), np.zeros(samples.n, dtype=bool)
         if self.has_tension:
             distance = wall_distance(self.walls, samples.points, time)
             k = surface_coefficients(samples, points, self.materials.tensions, distance).k
-        return _Surface(samples, k)
+            if self.scene.surface.stress == "group":
+                # On walls that hold liquid its pressure at their nodes would be lost to them, and points sink in.
+                spreads = wall_distance(self._holding, samples.points, time) >= 0.0
+        return _Surface(samples, k, spreads)
 
     def _conduct(self, points: Particles, surface: _Surface | None, time: float, dt: float) -> HeatReport:
         """Move temperatures on, latent heat included."""
@@ -216,7 +221,7 @@ class PointStep:
             time=time,
             transfer=scene.transfer.scheme,
             flip=scene.transfer.flip,
-            spreads_stress=scene.surface.stress == "group",
+            spreads_stress=False if tense is None else tense.spreads,
         )
         return done.particles, PointReport(True, "", n_nodes=done.mass.size, n_bounded=done.n_bounded)
 
@@ -226,8 +231,10 @@ class PointStep:
         scene = self.scene
         assert self._solver is not None
         tense = surface if self.has_tension else None
-        spreads = scene.surface.stress == "group"
-        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid, spreads)
+        if tense is None:
+            groups = Groups.split(points.x, points.mass, None, self._grid)
+        else:
+            groups = Groups.split(points.x, points.mass, tense.samples, self._grid, tense.spreads)
         is_affine = scene.transfer.scheme in ("apic", "group_apic")
         affine = points.affine if is_affine else np.zeros_like(points.affine)
         mass, velocity = groups.to_grid(points.v, affine, scene.transfer.scheme == "group_apic")
@@ -249,7 +256,7 @@ class PointStep:
                 )
                 for wall in self.walls
             ],
-            groups.owner if spreads else None,
+            (groups.owner, groups.shares),
         )
         solution = solve_step(self._potential, self._solver, scene.solver.tolerance, observe)
         report = PointReport(
