@@ -52,7 +52,6 @@ class Drop:
     owner: NDArray[np.int64]  # of each member
     places: Array  # of each member
     walls: Sequence[NodeWall] = field(default_factory=list)
-    spread: bool = False  # energies of points at all members of their groups
 
     @property
     def dim(self) -> int:
@@ -65,15 +64,7 @@ class Drop:
 
     def begin(self, problem: PointPotential, dt: float, walls: Sequence[NodeWall] = ()) -> None:
         problem.begin_step(
-            self.stencils,
-            self.mass,
-            self.velocity,
-            self.points,
-            self.materials,
-            dt,
-            self.tension,
-            walls,
-            (self.owner, 1.0 / np.bincount(self.owner)[self.owner]) if self.spread else None,
+            self.stencils, self.mass, self.velocity, self.points, self.materials, dt, self.tension, walls
         )
 
     # ------------------------------------------------------------------------------------ the reference
@@ -83,17 +74,16 @@ class Drop:
         d, points, s = self.dim, self.points, self.stencils
         n, total = points.n, 0.0
         F = np.eye(d) + np.einsum("pki,pkj->pij", u[s.nodes], np.where(s.weights[..., None] > 0.0, s.gradients, 0.0))
-        for k, p in enumerate(self.owner if self.spread else range(n)):
-            V = points.volume[p] / (np.count_nonzero(self.owner == p) if self.spread else 1)
+        for p in range(n):
             if points.phase[p] == LIQUID:
-                J = (1.0 - d + np.trace(F[k])) * points.J[p]
+                J = (1.0 - d + np.trace(F[p])) * points.J[p]
                 if "l" in parts:
-                    total += 0.5 * self.materials.bulk_modulus[p] * (J - 1.0) ** 2 * V
+                    total += 0.5 * self.materials.bulk_modulus[p] * (J - 1.0) ** 2 * points.volume[p]
                 if "v" in parts:
-                    strain = 0.5 * (F[k] + F[k].T) - np.eye(d)
-                    total += self.materials.viscosity[p] / dt * points.J[p] * V * np.sum(strain**2)
+                    strain = 0.5 * (F[p] + F[p].T) - np.eye(d)
+                    total += self.materials.viscosity[p] / dt * points.J[p] * points.volume[p] * np.sum(strain**2)
             elif "h" in parts:
-                total += V * corotated(F[k] @ points.F[p], LAW)
+                total += points.volume[p] * corotated(F[p] @ points.F[p], LAW)
         if "s" in parts:
             samples = self.tension.samples
             for r in range(samples.n):
@@ -124,7 +114,6 @@ def drop(
     liquid: str = "mixed",
     symmetric: bool = False,
     gravity: Sequence[float] | None = None,
-    spread: bool = False,
     **constants: Any,
 ) -> Drop:
     """A cloud of about four cells with random state; every second point is solid, or none, or all."""
@@ -156,4 +145,4 @@ def drop(
         {0: LAW}, np.full(n, constants.get("bulk", 80.0)), np.full(n, constants.get("viscosity", 0.3))
     )
     g = np.zeros(dim) if gravity is None else np.array(gravity, dtype=float)
-    return Drop(points, tension, materials, stencils, mass, velocity, g, symmetric, share, of, places, spread=spread)
+    return Drop(points, tension, materials, stencils, mass, velocity, g, symmetric, share, of, places)

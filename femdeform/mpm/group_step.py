@@ -18,9 +18,10 @@ from femdeform.mpm.groups import Groups
 from femdeform.mpm.particles import Particles
 from femdeform.mpm.rigid_walls import RigidWall, constrain
 from femdeform.mpm.surface_samples import SurfaceSamples
-from femdeform.types import BoolArray, FloatArray
+from femdeform.types import FloatArray
 
 GroupTransfer = Literal["pic", "flip", "apic", "group_apic"]
+Motion = Literal["field", "group"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def explicit_step(
     time: float = 0.0,
     transfer: GroupTransfer = "apic",
     flip: float = 0.95,
-    spreads_stress: bool | BoolArray = True,
+    motion: Motion = "field",
 ) -> GroupStep:
     """Advance points by one symplectic Euler step.
 
@@ -86,10 +87,10 @@ def explicit_step(
         ``pic``, ``flip``, ``apic``, or ``group_apic``, see `mpm.groups`.
     flip : float
         Part of FLIP in its blend with PIC [-].
-    spreads_stress : bool or (n_samples,) bool
-        See `Groups.split`.
+    motion : str
+        See `advance`.
     """
-    groups = Groups.split(particles.x, particles.mass, samples, grid, spreads_stress)
+    groups = Groups.split(particles.x, particles.mass, samples, grid)
     is_affine = transfer in ("apic", "group_apic")
     affine = particles.affine if is_affine else np.zeros_like(particles.affine)
     mass, before = groups.to_grid(particles.v, affine, transfer == "group_apic")
@@ -101,7 +102,7 @@ def explicit_step(
     if gravity is not None:
         velocity += dt * np.asarray(gravity)
     velocity = constrain(walls, groups.stencils.positions, velocity, time + dt)
-    after, n_bounded = advance(particles, laws, groups, velocity, dt, is_affine)
+    after, n_bounded = advance(particles, laws, groups, velocity, dt, is_affine, motion)
     if transfer == "flip":
         kept = particles.v + groups.to_points(velocity - before)[0]
         after.v[:] = (1.0 - flip) * after.v + flip * kept
@@ -109,9 +110,29 @@ def explicit_step(
 
 
 def advance(
-    particles: Particles, laws: Laws, groups: Groups, velocity: FloatArray, dt: float, is_affine: bool = True
+    particles: Particles,
+    laws: Laws,
+    groups: Groups,
+    velocity: FloatArray,
+    dt: float,
+    is_affine: bool = True,
+    motion: Motion = "field",
 ) -> tuple[Particles, int]:
     """Merge the groups and move and deform the points by velocities of the nodes, of whatever scheme they are.
+
+    Parameters
+    ----------
+    particles, laws, dt
+        See `explicit_step`.
+    groups : Groups
+        Of the points.
+    velocity : (n_nodes, dim) float64
+        Of the nodes [m/s].
+    is_affine : bool
+        Whether the transfer has affine velocities.
+    motion : str
+        ``field``: points move with the grid where they are (`Groups.displaced`), which is the motion that their J and F
+        see; ``group``: with the mean over their group, as published. The two differ for points with samples.
 
     Returns
     -------
@@ -121,9 +142,12 @@ def advance(
         Liquid points whose J was kept in its bounds.
     """
     v, affine = groups.to_points(velocity)
+    x = particles.x + dt * v
+    if motion == "field" and groups.owner.size > groups.n:
+        x, affine = groups.displaced(velocity, v, affine, dt)
     out = replace(
         particles,
-        x=particles.x + dt * v,
+        x=x,
         v=v,
         affine=affine if is_affine else np.zeros_like(affine),
         J=particles.J.copy(),

@@ -4,18 +4,13 @@ A point p with n_p samples s_r of the surface becomes 2 n_p + 1 members: itself,
 so that the centre of mass stays. All have the mass ``m_p / (2 n_p + 1)``, the velocity and the affine velocity of the
 point. The grid gets ``m_i v_i = sum_k m_k N_i(x_k) (v_p + A_p (x_i - x_k))``; points get ``v_p = sum_i m_ip v_i / m_p``
 and ``B_p = sum_i m_ip v_i (x_i - x_p)^T / m_p`` with the mass m_ip that the whole group has at a node. Mass, linear and
-angular momentum and the centre of mass are kept by all of that, and by ``x_p += dt v_p``.
+angular momentum and the centre of mass are kept by all of that, and by ``x_p += dt v_p``; what else a motion of the
+points needs to keep them, see `displaced`.
 
 `Particles.affine` is ``4/dx^2 B_p`` in all cases, and ``(dx^2/4) m_p (A_ba - A_ab)`` a point's own angular momentum.
 The plain scheme takes it as the affine velocity A_p of each member; ``group_apic`` takes ``A_p = B_p D_p^-1`` with the
 second moment D_p of the group, and offsets from x_p: it conserves the same, and reproduces an affine velocity exactly,
 where the plain scheme makes it larger at points with samples.
-
-A point moves with the mean velocity of its group, so its deformation is the mean over the group as well, and its stress
-acts at all members, in equal parts: what the nodes do is then what the point's J or F has seen. With the stress and the
-deformation at x_p alone, as published, the tension at samples and the pressure at points have
-different nodes: points at the surface creep inwards, in a motion that their J never sees, and liquid loses volume.
-Scenes leave out samples inside walls that hold liquid, see `femdeform.run.point_step`.
 
 References
 ----------
@@ -35,7 +30,7 @@ from femdeform.mpm.grid import Grid, Stencils
 from femdeform.mpm.point_quadrature import consistent_gradients
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.transfers import momentum_to_grid, velocity_to_points
-from femdeform.types import BoolArray, FloatArray, IntArray
+from femdeform.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -54,8 +49,6 @@ class Groups:
         Number of members of each group.
     stencils : Stencils
         Of all members.
-    shares : (n_members,) float64
-        Part of a point's stress that acts at each member, and weight of its deformation there [-].
     """
 
     mass: FloatArray
@@ -63,29 +56,10 @@ class Groups:
     owner: IntArray
     sizes: IntArray
     stencils: Stencils
-    shares: FloatArray
 
     @classmethod
-    def split(
-        cls,
-        x: FloatArray,
-        mass: FloatArray,
-        samples: SurfaceSamples | None,
-        grid: Grid,
-        spreads_stress: bool | BoolArray = True,
-    ) -> Groups:
+    def split(cls, x: FloatArray, mass: FloatArray, samples: SurfaceSamples | None, grid: Grid) -> Groups:
         """Groups of points x (n, dim) with masses (n,); without samples each point is alone.
-
-        Parameters
-        ----------
-        x, mass
-            The points [m], [kg].
-        samples : SurfaceSamples, optional
-            Of their surface.
-        grid : Grid
-            With quadratic splines.
-        spreads_stress : bool or (n_samples,) bool
-            Which samples, with their mirror images, have a share of the stress of their points.
 
         Raises
         ------
@@ -101,11 +75,7 @@ class Groups:
             near = samples.owner
             positions = np.concatenate([positions, samples.points, 2.0 * positions[near] - samples.points])
         owner = np.concatenate([own, near, near])
-        sizes = np.bincount(owner, minlength=n)
-        spread = np.broadcast_to(np.asarray(spreads_stress), near.shape)
-        counts = np.concatenate([np.ones(n), spread, spread])
-        shares = counts / np.bincount(owner, counts, n)[owner]
-        return cls(np.asarray(mass), positions, owner, sizes, grid.stencils(positions), shares)
+        return cls(np.asarray(mass), positions, owner, np.bincount(owner, minlength=n), grid.stencils(positions))
 
     @property
     def n(self) -> int:
@@ -124,8 +94,8 @@ class Groups:
 
     @cached_property
     def force_gradients(self) -> FloatArray:
-        """Gradients of the members whose forces add up to nothing, see `consistent_gradients` [1/m]."""
-        return consistent_gradients(self.stencils, self.owner.size)
+        """Gradients of points and samples whose forces add up to nothing, see `consistent_gradients` [1/m]."""
+        return consistent_gradients(self.stencils, self.n + self.samples.size)
 
     def arms(self) -> FloatArray:
         """Positions of the members relative to their points, (n_members, dim) [m]."""
@@ -174,17 +144,42 @@ class Groups:
         turned = rates + 4.0 / self.stencils.spacing**2 * carried[:, :, None] * self.arms()[:, None, :]
         return self.mean(carried), self.mean(turned)
 
+    def displaced(
+        self, velocity: FloatArray, v: FloatArray, affine: FloatArray, dt: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Positions (n_points, dim) [m] of points that moved with the grid where they are, and their `affine`.
+
+        ``x_p + dt (v(x_p) + c)`` with one c for all, so that the centre of mass moves by dt times its velocity. In
+        place of ``x_p + dt v_p`` that is a shift s_p, which takes the momentum of the point along: the angular momentum
+        ``m_p s_p x v_p`` goes to its own, with velocities relative to the centre of mass, so that a common one does
+        nothing.
+
+        Parameters
+        ----------
+        velocity : (n_nodes, dim) float64
+            Of the nodes [m/s].
+        v, affine
+            What `to_points` makes of it.
+        dt : float
+            [s].
+        """
+        total = self.mass.sum()
+        shift = dt * (self.stencils.to_points(velocity)[self.points] - v)
+        shift -= self.mass @ shift / total
+        relative = v - self.mass @ v / total
+        turned = shift[:, :, None] * relative[:, None, :]
+        # A point's own angular momentum is dx^2/4 m (A_ba - A_ab).
+        own = 2.0 / self.stencils.spacing**2 * (turned - np.swapaxes(turned, 1, 2))
+        return self.positions[: self.n] + dt * v + shift, affine + own
+
     def gradients(self, velocity: FloatArray) -> FloatArray:
-        """Gradients of the velocity ``sum v_i grad N_i^T``, means over groups by `shares`, (n_points, d, d) [1/s]."""
+        """Gradients of the velocity at the points themselves, ``sum v_i grad N_i(x_p)^T``, (n_points, d, d) [1/s]."""
         dim = velocity.shape[1]
-        members = np.flatnonzero(self.shares)
-        out = np.empty((members.size, dim, dim))
+        out = np.empty((self.mass.size, dim, dim))
         kernels.velocity_gradients(
-            np.ascontiguousarray(velocity), self.stencils.nodes, self.stencils.gradients, members, out
+            np.ascontiguousarray(velocity), self.stencils.nodes, self.stencils.gradients, self.points, out
         )
-        owner, shares = self.owner[members], self.shares[members]
-        sums = [np.bincount(owner, shares * column, self.n) for column in out.reshape(members.size, -1).T]
-        return np.stack(sums, axis=1).reshape(self.n, dim, dim)
+        return out
 
     def forces(self, stress: FloatArray) -> FloatArray:
         """Forces of stresses at the nodes (n_nodes, dim) [N].
@@ -195,9 +190,9 @@ class Groups:
             ``V0 P F^T`` of each point [J], see `group_step.stresses`.
         """
         s = self.stencils
-        member = np.where(self.shares > 0.0, np.arange(self.owner.size), -1)
+        point = np.full(self.owner.size, -1, dtype=np.int64)
+        point[self.points] = np.arange(self.mass.size)
         out = np.empty_like(s.positions)
         kernel = kernels.stress_forces_2d if out.shape[1] == 2 else kernels.stress_forces_3d
-        shared = np.ascontiguousarray(self.shares[:, None] * stress[self.owner])
-        kernel(shared, member, self.force_gradients, s.offsets, s.entries, out)
+        kernel(np.ascontiguousarray(stress), point, self.force_gradients, s.offsets, s.entries, out)
         return out

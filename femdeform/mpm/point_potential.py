@@ -40,7 +40,7 @@ from femdeform.mpm.point_terms import (
     rows_of,
 )
 from femdeform.parallel import Partition
-from femdeform.types import BoolArray, FloatArray, IntArray
+from femdeform.types import BoolArray, FloatArray
 
 # No point may shrink to less than this in a step; a line search begins a little before that.
 SMALLEST_J = 0.1
@@ -111,7 +111,6 @@ class PointPotential:
         dt: float,
         tension: SurfaceTension | None = None,
         walls: Sequence[NodeWall] = (),
-        members: tuple[IntArray, FloatArray] | None = None,
     ) -> None:
         """Take what the transfer to the grid has left, and freeze materials, surface and walls for a step.
 
@@ -134,9 +133,6 @@ class PointPotential:
             Of the samples.
         walls : sequence of NodeWall
             At the active nodes.
-        members : ((n_members,) int64, (n_members,) float64), optional
-            Material point of each point of the stencils, and the part of its energy that acts there [-]. By default
-            material points have theirs to themselves.
 
         Raises
         ------
@@ -145,7 +141,7 @@ class PointPotential:
         """
         n_samples = 0 if tension is None else tension.samples.n
         n = points.n + n_samples
-        if len(stencils.weights) < n or (members is not None and members[0].size != len(stencils.weights)):
+        if len(stencils.weights) < n:
             raise ValueError("stencils of the material points and of all samples are needed")
         if not (mass > 0.0).all():
             raise ValueError("an active node has no mass")
@@ -156,32 +152,21 @@ class PointPotential:
         self._drift = dt * velocity + dt**2 * self.gravity
         self._measure = np.sqrt(self.mass.mean() / self.mass)[:, None]
 
-        # Points of the quadrature: material points, samples with their tension, then members with a share of a point.
-        self._surface = slice(points.n, n)
-        rows, of = np.arange(n), np.concatenate([np.arange(points.n), np.full(n_samples, -1)])
-        share = np.ones(n)
-        if members is not None:
-            owner, parts = members
-            more = points.n + np.flatnonzero(parts[points.n :])
-            rows, of = np.concatenate([rows, more]), np.concatenate([of, owner[more]])
-            share = parts[rows]
-        n = rows.size
-        liquid, solids = rows_of(points, materials, of)
+        liquid, solids = rows_of(points, materials)
         every_solid = np.sort(np.concatenate([np.empty(0, np.int64), *solids.values()]))
-        self.quadrature = Quadrature.of(stencils, rows, points.F, of, every_solid)
+        self.quadrature = Quadrature.of(stencils, n, points.F, every_solid)
         place = np.full(n, -1, dtype=np.int64)
         place[every_solid] = np.arange(every_solid.size)
-        place[self._surface] = every_solid.size + np.arange(n_samples)
+        place[points.n :] = every_solid.size + np.arange(n_samples)
         n_matrices = every_solid.size + n_samples
         matrices = np.zeros((n_matrices, self.dim**2, self.dim**2))
         self._tangents = Tangents(place, matrices, np.zeros(n), np.zeros(n))
         self._symmetric = np.zeros(n, dtype=np.uint8)
-        self._symmetric[self._surface] = self.symmetric_surface
+        self._symmetric[points.n :] = self.symmetric_surface
         self.terms = []
         if liquid.size:
-            tangents = self._tangents
-            self.terms.append(LiquidTerm(points, liquid, of, share, materials, dt, tangents.alpha, tangents.beta))
-        volume = share * (points.volume if materials.stiffness is None else materials.stiffness * points.volume)[of]
+            self.terms.append(LiquidTerm(points, liquid, materials, dt, self._tangents.alpha, self._tangents.beta))
+        volume = points.volume if materials.stiffness is None else materials.stiffness * points.volume
         for body, rows in solids.items():
             self.terms.append(SolidTerm(materials.solids[body], rows, self.quadrature.base, volume, place))
         if tension is not None and n_samples:
@@ -285,9 +270,8 @@ class PointPotential:
         allow, about ``sqrt(rho dx^3 / (2 pi k))``, they move so far that their samples shrink to nothing.
         """
         D = self._deform(self.displacement(x), self._D)
-        material = np.ones(len(D), dtype=bool)
-        material[self._surface] = False
-        for what, rows in (("samples of the surface", ~material), ("material points", material)):
+        n = self._particles.n
+        for what, rows in (("samples of the surface", slice(n, None)), ("material points", slice(0, n))):
             smallest = float(self._volume_ratios(D)[rows].min(initial=np.inf))
             if smallest < 2.0 * SMALLEST_J:
                 return f"; {what} shrink to {smallest:.2g} of their volume: take a smaller time step"

@@ -37,34 +37,31 @@ class Quadrature:
     entries: IntArray
 
     @classmethod
-    def of(cls, stencils: Stencils, rows: IntArray, F: FloatArray, of: IntArray, solid: IntArray) -> Quadrature:
-        """Quadrature at some points of some stencils.
+    def of(cls, stencils: Stencils, n: int, F: FloatArray, solid: IntArray) -> Quadrature:
+        """Quadrature at the first n points of some stencils.
 
         Parameters
         ----------
         stencils : Stencils
             Of quadratic splines.
-        rows : (n_points,) int64
-            Point of the stencils that each has; one may be there several times.
+        n : int
+            Number of points; further ones of the stencils only carry mass.
         F : (n_particles, dim, dim) float64
-            Deformation gradients before the step [-].
-        of : (n_points,) int64
-            Particle of each; read at `solid`.
+            Deformation gradients before the step [-]; read at `solid`.
         solid : (n_solid,) int64
             Points whose stress depends on ``F^ F^n``.
         """
-        held = stencils.weights[rows] > 0.0
-        gradients = consistent_gradients(stencils, int(rows.max(initial=-1)) + 1)[rows]
+        held = stencils.weights[:n] > 0.0
+        gradients = consistent_gradients(stencils, n)
         dim = gradients.shape[2]
-        base = np.tile(np.eye(dim).ravel(), (rows.size, 1))
-        before = F[of[solid]]
-        base[solid] = before.reshape(-1, dim * dim)
+        base = np.tile(np.eye(dim).ravel(), (n, 1))
+        base[solid] = F[solid].reshape(-1, dim * dim)
         # G = F^nT grad w: the law's stress and tangent then belong to these gradients as they are.
-        gradients[solid] = gradients[solid] @ before
+        gradients[solid] = gradients[solid] @ F[solid]
         # Entries without weight are sorted behind those of the last node.
-        numbers = np.where(held, stencils.nodes[rows], stencils.n_nodes).ravel()
+        numbers = np.where(held, stencils.nodes[:n], stencils.n_nodes).ravel()
         entries, offsets = sort_by_number(numbers, stencils.n_nodes + 1)
-        nodes = np.ascontiguousarray(stencils.nodes[rows])
+        nodes = np.ascontiguousarray(stencils.nodes[:n])
         return cls(nodes, gradients[:, None], base, offsets[:-1], entries)
 
 

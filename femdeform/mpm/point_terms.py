@@ -77,11 +77,7 @@ class LiquidTerm:
     ----------
     points : Particles
     rows : (n,) int64
-        Points of the quadrature that are of liquid.
-    of : (n_points,) int64
-        Particle of each.
-    share : (n_points,) float64
-        Part of the particle's volume that each has [-].
+        Liquid points.
     materials : PointMaterials
     dt : float
         [s].
@@ -95,18 +91,16 @@ class LiquidTerm:
         self,
         points: Particles,
         rows: IntArray,
-        of: IntArray,
-        share: FloatArray,
         materials: PointMaterials,
         dt: float,
         alpha: FloatArray,
         beta: FloatArray,
     ) -> None:
         self.rows, self._dim = rows, (0,) * points.dim
-        self._J, self._volume = points.J[of], share * points.volume[of]
-        self._bulk = np.asarray(materials.bulk_modulus, dtype=np.float64)[of]
-        alpha[rows] = (self._bulk * self._J**2 * self._volume)[rows]
-        beta[rows] = (2.0 / dt * materials.viscosity[of] * self._J * self._volume)[rows]
+        self._J, self._volume = points.J, points.volume
+        self._bulk = np.ascontiguousarray(materials.bulk_modulus, dtype=np.float64)
+        alpha[rows] = (self._bulk * points.J**2 * points.volume)[rows]
+        beta[rows] = (2.0 / dt * materials.viscosity * points.J * points.volume)[rows]
         self._beta = beta
 
     def energies(self, D: FloatArray, out: FloatArray) -> None:
@@ -132,7 +126,7 @@ class SolidTerm:
     base : (n_points, dim^2) float64
         F^n [-].
     volume : (n_points,) float64
-        V0 that each has, times a factor of the stiffness [m^3].
+        V0, times a factor of the stiffness [m^3].
     place : (n_points,) int64
         Row of each point among the tangents.
     """
@@ -208,28 +202,18 @@ def surface_tangents(normals: FloatArray) -> FloatArray:
     return np.stack([first, np.cross(normals, first)], axis=1)
 
 
-def rows_of(points: Particles, materials: PointMaterials, of: IntArray) -> tuple[IntArray, dict[int, IntArray]]:
-    """Points of a quadrature that are of liquid, and those of each body that are of solid.
-
-    Parameters
-    ----------
-    points : Particles
-        All of them.
-    materials : PointMaterials
-        Their laws.
-    of : (n_points,) int64
-        Particle of each point of the quadrature; -1 for those that are of the surface.
+def rows_of(points: Particles, materials: PointMaterials) -> tuple[IntArray, dict[int, IntArray]]:
+    """Liquid points, and solid points of each body.
 
     Raises
     ------
     ValueError
         If a body has solid points and no law.
     """
-    phase, bodies_of = np.where(of >= 0, points.phase[of], -1), points.body[of]
-    liquid = np.flatnonzero(phase == LIQUID)
-    solid = phase == SOLID
-    bodies = [int(body) for body in np.unique(bodies_of[solid])]
+    liquid = np.flatnonzero(points.phase == LIQUID)
+    solid = points.phase == SOLID
+    bodies = [int(body) for body in np.unique(points.body[solid])]
     missing = [body for body in bodies if body not in materials.solids]
     if missing:
         raise ValueError(f"no law for the solid points of body {missing[0]}")
-    return liquid, {body: np.flatnonzero(solid & (bodies_of == body)) for body in bodies}
+    return liquid, {body: np.flatnonzero(solid & (points.body == body)) for body in bodies}

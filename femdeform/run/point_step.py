@@ -29,7 +29,7 @@ from femdeform.run.heated_places import heat_boundary
 from femdeform.run.point_setup import Materials, heat_sources, make_materials, make_walls
 from femdeform.scene.point_schema import PointScene
 from femdeform.step_problem import IterationObserver, StepSolver
-from femdeform.types import BoolArray, FloatArray, Mesh
+from femdeform.types import FloatArray, Mesh
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,10 @@ class PointReport:
 
 @dataclass(frozen=True)
 class _Surface:
-    """Samples of the surface, their tension [N/m], and which of them have a share of their points' stress."""
+    """Samples of the surface and their tension [N/m]."""
 
     samples: SurfaceSamples
     k: FloatArray
-    spreads: BoolArray
 
 
 class PointStep:
@@ -95,7 +94,6 @@ class PointStep:
         self.scene = scene
         self.materials: Materials = make_materials(scene)
         self.walls: list[RigidWall] = make_walls(scene, meshes)
-        self._holding = [wall for wall in self.walls if wall.kind != "separate"]
         self._solver = solver
         self._grid = Grid(scene.grid.cell_size, "quadratic")
         self._low, self._high = np.array(scene.grid.low), np.array(scene.grid.high)
@@ -162,14 +160,11 @@ class PointStep:
         if not self._samples_surface:
             return None
         samples = self._sampler.sample(points.x, step)
-        k, spreads = np.zeros(samples.n), np.zeros(samples.n, dtype=bool)
+        k = np.zeros(samples.n)
         if self.has_tension:
             distance = wall_distance(self.walls, samples.points, time)
             k = surface_coefficients(samples, points, self.materials.tensions, distance).k
-            if self.scene.surface.stress == "group":
-                # On walls that hold liquid its pressure at their nodes would be lost to them, and points sink in.
-                spreads = wall_distance(self._holding, samples.points, time) >= 0.0
-        return _Surface(samples, k, spreads)
+        return _Surface(samples, k)
 
     def _conduct(self, points: Particles, surface: _Surface | None, time: float, dt: float) -> HeatReport:
         """Move temperatures on, latent heat included."""
@@ -221,7 +216,7 @@ class PointStep:
             time=time,
             transfer=scene.transfer.scheme,
             flip=scene.transfer.flip,
-            spreads_stress=False if tense is None else tense.spreads,
+            motion=scene.surface.motion,
         )
         return done.particles, PointReport(True, "", n_nodes=done.mass.size, n_bounded=done.n_bounded)
 
@@ -231,10 +226,7 @@ class PointStep:
         scene = self.scene
         assert self._solver is not None
         tense = surface if self.has_tension else None
-        if tense is None:
-            groups = Groups.split(points.x, points.mass, None, self._grid)
-        else:
-            groups = Groups.split(points.x, points.mass, tense.samples, self._grid, tense.spreads)
+        groups = Groups.split(points.x, points.mass, None if tense is None else tense.samples, self._grid)
         is_affine = scene.transfer.scheme in ("apic", "group_apic")
         affine = points.affine if is_affine else np.zeros_like(points.affine)
         mass, velocity = groups.to_grid(points.v, affine, scene.transfer.scheme == "group_apic")
@@ -256,7 +248,6 @@ class PointStep:
                 )
                 for wall in self.walls
             ],
-            (groups.owner, groups.shares),
         )
         solution = solve_step(self._potential, self._solver, scene.solver.tolerance, observe)
         report = PointReport(
@@ -270,7 +261,9 @@ class PointStep:
         )
         if not report.accepted:
             return points, report
-        new, n_bounded = advance(points, self.materials.laws, groups, solution.velocity, dt, is_affine)
+        new, n_bounded = advance(
+            points, self.materials.laws, groups, solution.velocity, dt, is_affine, scene.surface.motion
+        )
         if scene.transfer.scheme == "flip":
             kept = points.v + groups.to_points(solution.velocity - velocity)[0]
             new.v[:] = (1.0 - scene.transfer.flip) * new.v + scene.transfer.flip * kept

@@ -59,10 +59,10 @@ class SurfaceSampling(SceneModel):
         description="radius of the spheres around points, over the cell size; default 0.73, 0.867 in 3D [-]",
     )
     seed: int = Field(default=0, ge=0, description="seed of the random places")
-    stress: Literal["group", "point"] = Field(
-        default="group",
-        description="where a point at the surface deforms and has its stress: at all places where its mass is, its "
-        "samples among them; or at the point alone, as published, which loses volume",
+    motion: Literal["field", "group"] = Field(
+        default="field",
+        description="how points at the surface move: field: with the grid where they are, as their deformation sees "
+        "it; group: with the mean over all places where their mass is, as published, which loses volume",
     )
     symmetric: bool = Field(
         default=False,

@@ -32,10 +32,9 @@ def directions(shape: tuple[int, ...]) -> Iterator[Array]:
         yield rng.standard_normal(shape)
 
 
-@pytest.mark.parametrize("spread", [False, True])
 @pytest.mark.parametrize(("dim", "symmetric"), CASES)
-def test_value_is_that_of_the_formulas(dim: int, symmetric: bool, spread: bool) -> None:
-    drop = point_drop.drop(dim, symmetric=symmetric, spread=spread, gravity=[1.0, -9.81, 2.0][:dim])
+def test_value_is_that_of_the_formulas(dim: int, symmetric: bool) -> None:
+    drop = point_drop.drop(dim, symmetric=symmetric, gravity=[1.0, -9.81, 2.0][:dim])
     problem = drop.begun(DT)
     for size in (0.0, 0.002, 0.02):
         u = displaced(problem, size)
@@ -47,13 +46,10 @@ def test_value_is_that_of_the_formulas(dim: int, symmetric: bool, spread: bool) 
         assert parts["surface"] == pytest.approx(drop.energy(u, DT, "s"), rel=1e-12)
 
 
-@pytest.mark.parametrize("spread", [False, True])
 @pytest.mark.parametrize("parts", ["l", "v", "h", "s"])
 @pytest.mark.parametrize(("dim", "symmetric"), CASES)
-def test_forces_of_each_energy_are_derivatives_of_its_formula(
-    dim: int, symmetric: bool, parts: str, spread: bool
-) -> None:
-    drop = point_drop.drop(dim, symmetric=symmetric, spread=spread)
+def test_forces_of_each_energy_are_derivatives_of_its_formula(dim: int, symmetric: bool, parts: str) -> None:
+    drop = point_drop.drop(dim, symmetric=symmetric)
     # What is left of the problem is one energy.
     n = drop.points.n
     zero, some = np.zeros(n), drop.materials
@@ -75,11 +71,10 @@ def test_forces_of_each_energy_are_derivatives_of_its_formula(
         assert slope == pytest.approx(float(np.vdot(gradient, d)), rel=2e-7)
 
 
-@pytest.mark.parametrize("spread", [False, True])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_virial_identity(dim: int, spread: bool) -> None:
+def test_virial_identity(dim: int) -> None:
     """A dilation does work ``dim sum p J V0`` against the pressure and gains ``(dim - 1) sum k |dA|`` of surface."""
-    drop = point_drop.drop(dim, liquid="all", viscosity=0.0, spread=spread)
+    drop = point_drop.drop(dim, liquid="all", viscosity=0.0)
     problem = drop.begun(DT)
     rest = np.zeros_like(problem.points)
     dilation = problem.points - 0.37
@@ -92,10 +87,9 @@ def test_virial_identity(dim: int, spread: bool) -> None:
     assert float(np.vdot(surface, dilation)) == pytest.approx(gain, rel=1e-12)
 
 
-@pytest.mark.parametrize("spread", [False, True])
 @pytest.mark.parametrize(("dim", "symmetric"), CASES)
-def test_hessian(dim: int, symmetric: bool, spread: bool) -> None:
-    drop = point_drop.drop(dim, symmetric=symmetric, spread=spread)
+def test_hessian(dim: int, symmetric: bool) -> None:
+    drop = point_drop.drop(dim, symmetric=symmetric)
     drop.points.F *= 0.7  # compressed solids are unstable
     problem = drop.begun(0.1)  # little inertia: it hides nothing
     u = displaced(problem)
@@ -116,7 +110,7 @@ def test_hessian(dim: int, symmetric: bool, spread: bool) -> None:
 @pytest.mark.parametrize("project", [False, True])
 @pytest.mark.parametrize(("dim", "symmetric"), CASES)
 def test_products_and_diagonal_blocks_are_those_of_the_matrix(dim: int, symmetric: bool, project: bool) -> None:
-    drop = point_drop.drop(dim, symmetric=symmetric, spread=project)
+    drop = point_drop.drop(dim, symmetric=symmetric)
     problem = drop.begun(DT)
     x = problem.unknowns(displaced(problem))
     # Some unknowns are prescribed, as walls would have it.
