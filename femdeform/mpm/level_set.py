@@ -62,7 +62,7 @@ class Facets:
         """Content of the closed surface [m^3], in 2D [m^2], by the divergence theorem."""
         # From a corner nearby, as the origin may be far away.
         middle = (self.corners - self.corners[:1, :1]).mean(axis=1)
-        return float(np.einsum("fa,fa,f->", middle, self.normals, self.measure)) / middle.shape[1]
+        return float(np.einsum("fa,fa,f->", middle, self.normals, self.measure) / middle.shape[1])
 
 
 class LevelSet:
