@@ -138,7 +138,9 @@ def _deform_3d(F: Any, p: Any, L: Any, dt: Any, law: Any) -> int:
 
 
 @njit
-def _swell(J: Any, p: Any, change: Any) -> int:
+def _swell(J: Any, p: Any, linear: Any, higher: Any) -> int:
+    # det(I + dt L) - 1; not where a point turns inside out, of which the even powers know nothing.
+    change = linear + higher if linear > -1 else linear
     # Written so that nan stays nan.
     J[p] += change * J[p]
     if J[p] < LOWEST_J:
@@ -152,11 +154,13 @@ def _swell(J: Any, p: Any, change: Any) -> int:
 
 @njit
 def _swell_3d(J: Any, p: Any, L: Any, dt: Any, law: Any) -> int:
-    return _swell(J, p, dt * (L[0] + L[4] + L[8]))
+    xx, xy, xz = L[4] * L[8] - L[5] * L[7], L[5] * L[6] - L[3] * L[8], L[3] * L[7] - L[4] * L[6]
+    second = xx + L[0] * L[8] - L[2] * L[6] + L[0] * L[4] - L[1] * L[3]
+    return _swell(J, p, dt * (L[0] + L[4] + L[8]), dt * dt * (second + dt * (L[0] * xx + L[1] * xy + L[2] * xz)))
 
 
 def deform_3d(state: Any, p: Any, L: Any, dt: Any, law: Any) -> int:
-    """Deform a point: ``F <- (I + dt L) F`` or ``J <- (1 + dt tr L) J``; 1 where J was kept in its bounds, else 0."""
+    """Deform a point: ``F <- (I + dt L) F``, ``J <- det(I + dt L) J``; 1 where J was kept in its bounds, else 0."""
     done: int = (_swell_3d if isinstance(law, Liquid) else _deform_3d)(state, p, L, dt, law)
     return done
 
@@ -201,7 +205,7 @@ def _deform_2d(F: Any, p: Any, L: Any, dt: Any, law: Any) -> int:
 
 @njit
 def _swell_2d(J: Any, p: Any, L: Any, dt: Any, law: Any) -> int:
-    return _swell(J, p, dt * (L[0] + L[3]))
+    return _swell(J, p, dt * (L[0] + L[3]), dt * dt * (L[0] * L[3] - L[1] * L[2]))
 
 
 def deform_2d(state: Any, p: Any, L: Any, dt: Any, law: Any) -> int:

@@ -21,6 +21,7 @@ from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.types import FloatArray
 
 GroupTransfer = Literal["pic", "flip", "apic", "group_apic"]
+Motion = Literal["field", "group"]
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ def explicit_step(
     transfer: GroupTransfer = "apic",
     flip: float = 0.95,
     massless: bool = False,
+    motion: Motion = "group",
 ) -> GroupStep:
     """Advance points by one symplectic Euler step.
 
@@ -91,6 +93,8 @@ def explicit_step(
         Part of FLIP in its blend with PIC [-].
     massless : bool
         Samples without mass, for comparison, see `mpm.groups`.
+    motion : str
+        See `advance`.
     """
     if groups is None:
         groups = Groups.split(particles.x, particles.mass, samples, grid, massless)
@@ -105,7 +109,7 @@ def explicit_step(
     if gravity is not None:
         velocity += dt * np.asarray(gravity)
     velocity = constrain(walls, groups.stencils.positions, velocity, time + dt, grid.spacing)
-    after, n_bounded = advance(particles, laws, groups, velocity, dt, is_affine)
+    after, n_bounded = advance(particles, laws, groups, velocity, dt, is_affine, motion)
     if transfer == "flip":
         kept = particles.v + groups.to_points(velocity - before)[0]
         after.v[:] = (1.0 - flip) * after.v + flip * kept
@@ -113,9 +117,29 @@ def explicit_step(
 
 
 def advance(
-    particles: Particles, laws: Laws, groups: Groups, velocity: FloatArray, dt: float, is_affine: bool = True
+    particles: Particles,
+    laws: Laws,
+    groups: Groups,
+    velocity: FloatArray,
+    dt: float,
+    is_affine: bool = True,
+    motion: Motion = "group",
 ) -> tuple[Particles, int]:
     """Merge the groups and move and deform the points by velocities of the nodes, of whatever scheme they are.
+
+    Parameters
+    ----------
+    particles, laws, dt
+        See `explicit_step`.
+    groups : Groups
+        Of the points.
+    velocity : (n_nodes, dim) float64
+        Of the nodes [m/s].
+    is_affine : bool
+        Whether the transfer has affine velocities.
+    motion : str
+        ``field``: points move with the grid where they are (`Groups.displaced`), which is the motion that their J and F
+        see; ``group``: with the mean over their group, as published. The two differ for points with samples.
 
     Returns
     -------
@@ -125,9 +149,12 @@ def advance(
         Liquid points whose J was kept in its bounds.
     """
     v, affine = groups.to_points(velocity)
+    x = particles.x + dt * v
+    if motion == "field" and groups.owner.size > groups.n:
+        x, affine = groups.displaced(velocity, v, affine, dt)
     out = replace(
         particles,
-        x=particles.x + dt * v,
+        x=x,
         v=v,
         affine=affine if is_affine else np.zeros_like(affine),
         J=particles.J.copy(),

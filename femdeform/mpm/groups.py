@@ -4,7 +4,8 @@ A point p with n_p samples s_r of the surface becomes 2 n_p + 1 members: itself,
 so that the centre of mass stays. All have the mass ``m_p / (2 n_p + 1)``, the velocity and the affine velocity of the
 point. The grid gets ``m_i v_i = sum_k m_k N_i(x_k) (v_p + A_p (x_i - x_k))``; points get ``v_p = sum_i m_ip v_i / m_p``
 and ``B_p = sum_i m_ip v_i (x_i - x_p)^T / m_p`` with the mass m_ip that the whole group has at a node. Mass, linear and
-angular momentum and the centre of mass are kept by all of that, and by ``x_p += dt v_p``.
+angular momentum and the centre of mass are kept by all of that, and by ``x_p += dt v_p``; what else a motion of the
+points needs to keep them, see `displaced`.
 
 `Particles.affine` is ``4/dx^2 B_p`` in all cases, and ``(dx^2/4) m_p (A_ba - A_ab)`` a point's own angular momentum.
 The plain scheme takes it as the affine velocity A_p of each member; ``group_apic`` takes ``A_p = B_p D_p^-1`` with the
@@ -163,6 +164,34 @@ class Groups:
         carried, rates = velocity_to_points(self.stencils, self.positions, velocity)
         turned = rates + 4.0 / self.stencils.spacing**2 * carried[:, :, None] * self.arms()[:, None, :]
         return self.mean(carried), self.mean(turned)
+
+    def displaced(
+        self, velocity: FloatArray, v: FloatArray, affine: FloatArray, dt: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Positions (n_points, dim) [m] of points that moved with the grid where they are, and their `affine`.
+
+        ``x_p + dt (v(x_p) + c)`` with one c for all, so that the centre of mass moves by dt times its velocity. In
+        place of ``x_p + dt v_p`` that is a shift s_p, which takes the momentum of the point along: the angular momentum
+        ``m_p s_p x v_p`` goes to its own, with velocities relative to the centre of mass, so that a common one does
+        nothing.
+
+        Parameters
+        ----------
+        velocity : (n_nodes, dim) float64
+            Of the nodes [m/s].
+        v, affine
+            What `to_points` makes of it.
+        dt : float
+            [s].
+        """
+        total = self.mass.sum()
+        shift = dt * (self.stencils.to_points(velocity)[self.points] - v)
+        shift -= self.mass @ shift / total
+        relative = v - self.mass @ v / total
+        turned = shift[:, :, None] * relative[:, None, :]
+        # A point's own angular momentum is dx^2/4 m (A_ba - A_ab).
+        own = 2.0 / self.stencils.spacing**2 * (turned - np.swapaxes(turned, 1, 2))
+        return self.positions[: self.n] + dt * v + shift, affine + own
 
     def gradients(self, velocity: FloatArray) -> FloatArray:
         """Gradients of the velocity at the points themselves, ``sum v_i grad N_i(x_p)^T``, (n_points, d, d) [1/s]."""

@@ -57,6 +57,13 @@ class Facets:
         """Number of facets."""
         return int(self.measure.size)
 
+    @property
+    def volume(self) -> float:
+        """Content of the closed surface [m^3], in 2D [m^2], by the divergence theorem."""
+        # From a corner nearby, as the origin may be far away.
+        middle = (self.corners - self.corners[:1, :1]).mean(axis=1)
+        return float(np.einsum("fa,fa,f->", middle, self.normals, self.measure) / middle.shape[1])
+
 
 class LevelSet:
     """phi(x_i) = min_p |x_i - x_p| - radius at the nodes of a box of the grid, one layer of it outside.
@@ -170,6 +177,41 @@ def union_of_spheres(points: FloatArray, spacing: float, radius: float | None = 
     if _box_size(points, spacing) <= 2.0 * sum(_box_size(points[part], spacing) for part in parts):
         return [LevelSet(points, everyone, spacing, radius)]
     return [LevelSet(points, part, spacing, radius) for part in parts]
+
+
+def visible_volume(points: FloatArray, volume: FloatArray, spacing: float, radius: float | None = None) -> float:
+    """What points fill as their contour shows it, whatever they say of their own volumes [m^3], in 2D [m^2].
+
+    The content V of the contour, of area A, less a layer as thick as its distance d from where the liquid ends, the
+    radius of the spheres less half the distance of points at rest, ``volume^(1/dim)``: ``V - A d + pi d^2`` in 2D,
+    ``V - A d + sqrt(4 pi A) d^2 - 4/3 pi d^3`` in 3D (Steiner). Points that come closer together than at rest make it
+    smaller than the sum of their volumes.
+
+    Parameters
+    ----------
+    points : (n, dim) float64
+        Positions [m].
+    volume : (n,) float64
+        Volumes at rest [m^3].
+    spacing, radius
+        See `union_of_spheres`.
+
+    Limitations
+    -----------
+    The last terms are those of one body, convex in 2D and a ball in 3D; others, and several of them, show a little
+    less than they have. The contour has ripples that are not counted, 3 to 10 percent of the volume of a small drop. To
+    be compared with its value at the start.
+    """
+    dim = points.shape[1]
+    content = area = 0.0
+    for level_set in union_of_spheres(points, spacing, radius):
+        facets = level_set.facets()
+        content += facets.volume
+        area += float(facets.measure.sum())
+    outside = spacing * (RADII[dim] if radius is None else radius) - 0.5 * float(np.mean(volume ** (1.0 / dim)))
+    if dim == 2:
+        return content - outside * area + np.pi * outside**2
+    return content - outside * area + float(np.sqrt(4.0 * np.pi * area)) * outside**2 - 4.0 / 3.0 * np.pi * outside**3
 
 
 def _box_size(points: FloatArray, spacing: float) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from femdeform.mpm.heat import current_volumes
+from femdeform.mpm.level_set import visible_volume
 from femdeform.mpm.particles import LIQUID, Particles
 from femdeform.mpm.surface_sampling import SurfaceSampler
 from femdeform.mpm.transfers import spin
@@ -115,6 +116,7 @@ class PointMeter:
         self._materials = materials
         surface = scene.surface
         self._sampler = SurfaceSampler(self._spacing, surface.density, surface.radius, surface.seed)
+        self._radius = surface.radius
         self._walls = scene.walls
         self._numbers = {name: number for number, name in enumerate(scene.bodies)}
         self._functions = {name: self._function(quantity) for name, quantity in scene.measure.items()}
@@ -189,6 +191,7 @@ class PointMeter:
         known: dict[str, Callable[[], Any]] = {
             "mass": mass.sum,
             "volume": lambda: current_volumes(points).sum(),
+            "visible_volume": lambda: visible_volume(points.x, points.volume, self._spacing, self._radius),
             "kinetic_energy": lambda: kinetic_energy(points),
             "max_speed": lambda: np.sqrt((points.v**2).sum(axis=1).max(initial=0.0)),
             "heat": lambda: self._heat(points),

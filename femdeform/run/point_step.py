@@ -240,6 +240,7 @@ class PointStep:
             time=time,
             transfer=scene.transfer.scheme,
             flip=scene.transfer.flip,
+            motion=scene.surface.motion,
         )
         return done.particles, PointReport(True, "", n_nodes=done.mass.size, n_bounded=done.n_bounded)
 
@@ -288,7 +289,9 @@ class PointStep:
         )
         if not report.accepted:
             return points, report
-        new, n_bounded = advance(points, self.materials.laws, groups, solution.velocity, dt, is_affine)
+        new, n_bounded = advance(
+            points, self.materials.laws, groups, solution.velocity, dt, is_affine, scene.surface.motion
+        )
         if scene.transfer.scheme == "flip":
             kept = points.v + groups.to_points(solution.velocity - velocity)[0]
             new.v[:] = (1.0 - scene.transfer.flip) * new.v + scene.transfer.flip * kept

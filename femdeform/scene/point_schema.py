@@ -59,6 +59,11 @@ class SurfaceSampling(SceneModel):
         description="radius of the spheres around points, over the cell size; default 0.73, 0.867 in 3D [-]",
     )
     seed: int = Field(default=0, ge=0, description="seed of the random places")
+    motion: Literal["field", "group"] = Field(
+        default="group",
+        description="how points at the surface move: field: with the grid where they are, as their deformation sees "
+        "it; group: with the mean over all places where their mass is, as published, which loses volume",
+    )
     symmetric: bool = Field(
         default=False,
         description="surface energy of the symmetric part of the deformation, in implicit steps: drops "
@@ -139,6 +144,7 @@ class PointSumQuantity(SceneModel):
     kind: Literal[
         "mass",
         "volume",
+        "visible_volume",
         "kinetic_energy",
         "max_speed",
         "surface_area",
@@ -152,7 +158,8 @@ class PointSumQuantity(SceneModel):
         "min_jacobian",
         "virial",
     ] = Field(
-        description="mass [kg], volume [m^3], kinetic energy [J], largest speed of a point [m/s], area of the sampled "
+        description="mass [kg], volume by the J of the points [m^3], visible volume: inside the contour of the points "
+        "[m^3], kinetic energy [J], largest speed of a point [m/s], area of the sampled "
         "surface [m^2] and its energy [J], sum of m c T [J], temperatures weighed by mass [K], part of the mass that "
         "is liquid [-], mean pressure of liquid points by volume [Pa], smallest volume ratio [-]; virial: "
         "d int p dV / ((d - 1) int k dA) - 1 of liquid in d dimensions, whose mean over time is zero at rest [-]"

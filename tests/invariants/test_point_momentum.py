@@ -123,7 +123,8 @@ def test_an_affine_velocity_comes_back_from_group_apic_alone(dim: int) -> None:
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("transfer", ["apic", "group_apic"])
 @pytest.mark.parametrize("is_liquid", [False, True])
-def test_steps_with_samples(dim: int, transfer: Any, is_liquid: bool) -> None:
+@pytest.mark.parametrize("motion", ["field", "group"])
+def test_steps_with_samples(dim: int, transfer: Any, is_liquid: bool, motion: Any) -> None:
     """Explicit steps with stress: linear momentum, angular momentum and the centre of mass, step after step."""
     particles, samples = drop(dim)
     particles.affine *= 0.1
@@ -135,7 +136,8 @@ def test_steps_with_samples(dim: int, transfer: Any, is_liquid: bool) -> None:
         moved = SurfaceSamples(
             samples.points + (now.x - particles.x)[samples.owner], samples.normals, samples.measure, samples.owner
         )
-        now = explicit_step(now, {(0, int(is_liquid)): law}, GRID, dt, samples=moved, transfer=transfer).particles
+        laws = {(0, int(is_liquid)): law}
+        now = explicit_step(now, laws, GRID, dt, samples=moved, transfer=transfer, motion=motion).particles
     same(now.mass @ now.v, linear)
     same(of_points(now), angular)
     same(now.mass @ now.x, center + 20 * dt * linear)

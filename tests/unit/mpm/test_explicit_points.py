@@ -99,7 +99,7 @@ def dense_step(p: Particles, dt: float, gravity: Array, transfer: str, flip: flo
     rate = np.einsum("ia,pib->pab", after, G)
     liquid = p.phase == LIQUID
     out.F[~liquid] = ((np.eye(dim) + dt * rate) @ p.F)[~liquid]
-    out.J[liquid] *= 1.0 + dt * np.trace(rate, axis1=1, axis2=2)[liquid]
+    out.J[liquid] *= np.linalg.det(np.eye(dim) + dt * rate)[liquid]
     return out
 
 

@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from femdeform.mpm import level_set
-from femdeform.mpm.level_set import RADII, Facets, LevelSet, marching_squares, union_of_spheres
+from femdeform.mpm.level_set import RADII, Facets, LevelSet, marching_squares, union_of_spheres, visible_volume
 
 Array = NDArray[np.float64]
 SPACING = 0.1
@@ -203,3 +203,17 @@ def test_closest_points_are_those_of_a_tree(dim: int) -> None:
 def test_bad_input(points: Any, radius: float | None, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         union_of_spheres(points, SPACING, radius)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_visible_volume(dim: int) -> None:
+    """That of a ball, anywhere; and the room that is left to points which have come together."""
+    x = ball(dim, 0.8)
+    at_rest = np.full(len(x), (SPACING / 3) ** dim)
+    exact = {2: np.pi * 0.8**2, 3: 4.0 / 3.0 * np.pi * 0.8**3}[dim]
+    assert at_rest.sum() == pytest.approx(exact, rel=0.01)
+    seen = visible_volume(x, at_rest, SPACING)
+    assert seen == pytest.approx(exact, rel=0.04)
+    closer = visible_volume(0.9 * x, at_rest, SPACING)
+    assert closer / seen == pytest.approx(0.9**dim, rel=0.02)
+    assert visible_volume(x + 3.0, at_rest, SPACING) == pytest.approx(seen, rel=1e-3)
