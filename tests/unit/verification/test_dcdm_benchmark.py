@@ -60,19 +60,16 @@ def test_iterations_of_a_curve() -> None:
     assert dcdm_tables.iterations([1.0, 0.1], 1e-4) is None
 
 
-def test_a_comparison_of_kept_directions(weights: None) -> None:
+def test_a_comparison_of_kept_directions() -> None:
+    """With the shipped weights, which reach their tolerance; the more directions are kept the sooner."""
     found = dcdm_case.compare({"cells": 16, "dim": 2, "frames": [1, 2], "open": True})["curves"]
     assert list(found) == ["dcdm, kept 1", "dcdm, kept 2", "dcdm, kept all", "spd_lmg", "mg v(2,2)", "ic(0)", "cg"]
-    for name, curves in found.items():
+    for curves in found.values():
         assert len(curves) == 2
         for curve in curves:
             assert curve[0] == pytest.approx(1.0)
-            if name.startswith("dcdm"):
-                assert len(curve) <= 121
-            else:
-                assert curve[-1] <= 1e-6
-    # A poor network needs all directions.
-    assert found["dcdm, kept all"][0][-1] < found["dcdm, kept 1"][0][-1]
+            assert curve[-1] <= 1e-6
+    assert len(found["dcdm, kept all"][0]) < len(found["dcdm, kept 1"][0])
 
 
 def test_failures_are_said() -> None:
