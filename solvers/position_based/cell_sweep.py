@@ -285,6 +285,7 @@ class BasedSweep(CellSweep):
     """Sweeps that keep base points: x~ and what the cells do to each node, as they were last visited."""
 
     stride = 8
+    needs_kappa = True  # for the advice
     # Stiffness number below which these sweeps converge in tens, on meshes and on a grid.
     quick_below = (1.0, 0.4)
 
