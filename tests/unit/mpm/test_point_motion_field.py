@@ -93,7 +93,7 @@ def test_momenta_of_the_nodes_are_those_of_the_points(dim: int, clustered: bool)
     velocity = rng.standard_normal(nodes.shape) + 3.0
     mass, _ = groups.to_grid(points.v, points.affine)
     before = turning(nodes, mass[:, None] * velocity)
-    after, _ = advance(points, LAWS, groups, velocity, 0.01)
+    after, _ = advance(points, LAWS, groups, velocity, 0.01, motion="field")
     scale = np.abs(before).max()
     np.testing.assert_allclose(momentum(after), before, atol=1e-13 * scale)
     np.testing.assert_allclose(after.mass @ after.v, mass @ velocity, rtol=1e-13)
@@ -102,8 +102,8 @@ def test_momenta_of_the_nodes_are_those_of_the_points(dim: int, clustered: bool)
     assert np.abs(momentum(after) - before).max() > 1e-5 * scale
     # A velocity that all have in common turns nothing.
     common = rng.standard_normal(dim) * 10.0
-    faster, _ = advance(points, LAWS, groups, velocity + common, 0.01)
-    slower, _ = advance(points, LAWS, groups, velocity, 0.01)
+    faster, _ = advance(points, LAWS, groups, velocity + common, 0.01, motion="field")
+    slower, _ = advance(points, LAWS, groups, velocity, 0.01, motion="field")
     np.testing.assert_allclose(faster.x, slower.x + 0.01 * common, atol=1e-13)
     np.testing.assert_allclose(faster.affine, slower.affine, atol=1e-11 / DX)
 
