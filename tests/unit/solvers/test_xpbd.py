@@ -495,14 +495,12 @@ def test_what_is_not_known_is_refused() -> None:
 
 @pytest.mark.parametrize("grid", [{}, {"grid": {"cell_size": 0.3}}])
 def test_only_who_asks_gets_stiffness_numbers(grid: dict[str, Any]) -> None:
-    """They cost a fifth of the layout; the rule for zeta needs them."""
+    """They cost a fifth of the layout; the rule for zeta needs them, and the advice of FP-PXPBD."""
     bodies = {"b": body(block([1.0, 0.5, 0.5], [4, 2, 2]), material("fixed_corotated", E=1e3, density=10.0))}
     problem = (simulation := build(scene(bodies, solver={"method": "xpbd"}, **grid))).problem
     problem.begin_step(simulation.state, 0.01)
-    others = (ConstraintSweep(problem), PiolaSweep(problem), BlendedSweep(problem, 0.5))
-    for sweep in (*others, BlendedSweep(problem, keep_residual=True)):
+    for sweep in (ConstraintSweep(problem), BlendedSweep(problem, 0.5), BlendedSweep(problem, keep_residual=True)):
         assert all(batch.unit_kappa.size == batch.crowds.size == 0 for batch in sweep.batches)
-    ruled = BlendedSweep(problem)
-    for batch in ruled.batches:
+    for batch in (*BlendedSweep(problem).batches, *PiolaSweep(problem).batches):
         assert (batch.unit_kappa > 0.0).all()
         assert batch.unit_kappa.size == batch.crowds.size == len(batch.volumes)
