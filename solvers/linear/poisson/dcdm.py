@@ -7,11 +7,8 @@ from collections.abc import Callable
 
 from femdeform.flow import grid_kernels
 from femdeform.flow.pressure_system import GridArray, PressureSystem
-from solvers.linear.poisson.conjugate_gradients import Watch
-from solvers.linear.poisson.interface import PoissonResult, starting_point
-
-# The residual of the recurrence leaves the true one by rounding; it is replaced as often as this before giving up.
-_REPLACEMENTS = 3
+from solvers.linear.poisson.interface import PoissonResult
+from solvers.linear.poisson.recurrence import Progress, Watch, solve_by
 
 Directions = Callable[[GridArray], GridArray]
 """Turns a residual into a search direction, both zero where there is no unknown."""
@@ -73,33 +70,15 @@ class DeepConjugateDirections:
         watch: Watch | None = None,
     ) -> PoissonResult:
         """Solve A x = b; see `PoissonSolver`. `watch` may stop it."""
-        system = self.system
-        at, r = starting_point(system, b, x)
-        target = tolerance * system.norm(b)
-        residuals = [system.norm(r)]
-        iteration, replacements, reason = 0, 0, ""
         self.last = []
-        while not reason and residuals[-1] > target and iteration < max_iterations:
-            while not reason and residuals[-1] > target and iteration < max_iterations:
-                reason = self._step(r, at)
-                if reason:
-                    break
-                iteration += 1
-                residuals.append(system.norm(r))
-                if not math.isfinite(residuals[-1]):
-                    reason = "the residual is not finite"
-                elif watch is not None:
-                    reason = watch(iteration, residuals[-1])
-            r[...] = starting_point(system, b, at)[1]
-            residuals[-1] = system.norm(r)
-            replacements += 1
-            if not reason and residuals[-1] > target and replacements > _REPLACEMENTS:
-                reason = "the residual has reached rounding"
-        converged = residuals[-1] <= target
-        if converged:
-            reason = "residual below tolerance"
-        system.project(at)
-        return PoissonResult(at, iteration, converged, reason or f"{iteration} iterations", residuals)
+        return solve_by(self._iterate, self.system, b, tolerance, max_iterations, x, watch)
+
+    def _iterate(self, r: GridArray, x: GridArray, progress: Progress) -> str:
+        while progress.goes_on:
+            reason = self._step(r, x) or progress.add(r)
+            if reason:
+                return reason
+        return ""
 
     def _step(self, r: GridArray, x: GridArray) -> str:
         """Take one step; what prevented it."""

@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 
 from femdeform.flow.pressure_system import GridArray, PressureSystem
-from solvers.linear.poisson.conjugate_gradients import Watch
 from solvers.linear.poisson.interface import PoissonResult, PoissonSolver, starting_point
+from solvers.linear.poisson.recurrence import Watch
 
 # Iterations are counted for this reduction of the residual; smaller tolerances get more in proportion to digits.
 _REFERENCE_TOLERANCE = 1e-4

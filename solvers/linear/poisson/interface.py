@@ -58,9 +58,14 @@ def starting_point(system: PressureSystem, b: GridArray, x: GridArray | None) ->
     at = system.new_field() if x is None else x.astype(float)
     at[~system.unknown] = 0.0
     r = system.new_field()
-    system.apply(at, r)
+    set_residual(system, b, at, r)
+    system.project(at)
+    return at, r
+
+
+def set_residual(system: PressureSystem, b: GridArray, x: GridArray, r: GridArray) -> None:
+    """Write b - A x to `r`, without mean on closed components."""
+    system.apply(x, r)
     r[...] = b - r
     r[~system.unknown] = 0.0
-    system.project(at)
     system.project(r)
-    return at, r
