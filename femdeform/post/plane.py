@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import importlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from femdeform.post.canvas import Canvas
-from femdeform.post.fields import Field, select_field
+from femdeform.post.fields import Field
 from femdeform.post.setting import resolved_or_empty
-from femdeform.post.voxels import Sheet, as_vtk_order, point_grid, solid_indicator, to_the_sides
-from femdeform.run.frames import GridFrame, of_kind
+from femdeform.post.sheets import SOLID, SheetDrawing
+from femdeform.post.voxels import as_vtk_order, point_grid, solid_indicator, to_the_sides
+from femdeform.run.frames import GridFrame
 from femdeform.types import FloatArray
 
-SOLID, SOLID_EDGE = "#9c9ea3", "#4b4e54"
+_SOLID_EDGE = "#4b4e54"
 _WALL, _OPEN = "#303030", "#c8c8c8"
-# What voxels are in, by the number in the field `solid`.
-_KINDS = ("fluid", "solid")
-_INK = ("#ffffff", "#cfd6dc", "#8494a3", "#465768", "#16212c")
 # Arrows along the longer side of the picture, and the length of the longest one over their distance.
 _ARROWS = 26
 _ARROW_LENGTH = 1.5
@@ -32,47 +29,14 @@ _SIDES = {
 }
 
 
-class PlaneDrawing:
-    """Draws a field in the plane; see `femdeform.post.setting.Drawing`.
+class PlaneDrawing(SheetDrawing):
+    """Draws a field in the plane; see `SheetDrawing`."""
 
-    Parameters
-    ----------
-    canvas : Canvas
-        Where to.
-    field : str
-        Field to show.
-    colours : (float, float)
-        Its range.
-    """
+    def _axes(self) -> Sequence[int]:
+        return (2,)
 
-    def __init__(self, canvas: Canvas, field: str, colours: tuple[float, float]) -> None:
-        self._canvas = canvas
-        self._name = field
-        self._colours = colours
-        self._sheet: Sheet | None = None
-
-    def show(self, index: int) -> GridFrame:
-        """Show a frame."""
-        result = self._canvas.result
-        frame = of_kind(result.read_frame(index), GridFrame, result.frames[index].path)
-        field = select_field(frame, self._name, result.folder)
-        if self._sheet is None:
-            self._sheet = Sheet(self._canvas.pyvista, frame, 2, field)
-            self._build(frame, field, self._sheet)
-        self._sheet.put(frame, field)
-        self._show_solids(frame)
-        if self._name == "velocity":
-            self._show_arrows(frame)
-        return frame
-
-    def finish(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """All is drawn."""
-        return picture
-
-    def _build(self, frame: GridFrame, field: Field, sheet: Sheet) -> None:
+    def _add_box(self, frame: GridFrame) -> None:
         canvas = self._canvas
-        options = colour_options(canvas, field, self._name, self._colours)
-        canvas.plotter.add_mesh(sheet.mesh, scalars="field", lighting=False, **options)
         boundaries = resolved_or_empty(canvas.result).get("boundaries")
         kinds = boundaries if isinstance(boundaries, dict) else {}
         low, high = frame.box
@@ -85,8 +49,11 @@ class PlaneDrawing:
                 line_width=(1.0 if is_open else 3.0) * canvas.scale,
                 lighting=False,
             )
-        canvas.annotate()
-        canvas.aim()
+
+    def _add_rest(self, frame: GridFrame, field: Field) -> None:
+        self._show_solids(frame)
+        if self._name == "velocity":
+            self._show_arrows(frame)
 
     def _show_solids(self, frame: GridFrame) -> None:
         canvas = self._canvas
@@ -98,7 +65,7 @@ class PlaneDrawing:
         surface = grid.extract_surface(algorithm=None)
         for name, mesh, colour in (
             ("solids", surface.clip_scalar(scalars="inside", value=0.5, invert=False), SOLID),
-            ("edges of solids", surface.contour([0.5], scalars="inside"), SOLID_EDGE),
+            ("edges of solids", surface.contour([0.5], scalars="inside"), _SOLID_EDGE),
         ):
             if mesh.n_points:
                 canvas.plotter.add_mesh(
@@ -130,17 +97,6 @@ class PlaneDrawing:
             line_width=1.6 * canvas.scale,
             reset_camera=False,
         )
-
-
-def colour_options(canvas: Canvas, field: Field, name: str, colours: tuple[float, float]) -> dict[str, Any]:
-    """Options of ``add_mesh`` for a field: of ink for a density, with white in the middle for signed values."""
-    if field.categorical:
-        canvas.add_legend(range(len(_KINDS)), field.label, _KINDS)
-        return canvas.category_options(len(_KINDS))
-    cmap: Any = "RdBu_r" if field.is_signed else "viridis"
-    if name == "density":
-        cmap = importlib.import_module("matplotlib.colors").LinearSegmentedColormap.from_list("ink", _INK)
-    return canvas.scale_options(field.label, colours, cmap)
 
 
 def _raised(mesh: Any, by: float) -> Any:
