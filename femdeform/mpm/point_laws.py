@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from femdeform.jit import njit, prange
+from femdeform.jit import extending, njit, prange
 from femdeform.materials.dispatch import combined, energy_density, pk1, tangent
 
 # ------------------------------------------------------------------------------------------------ liquids
@@ -75,29 +75,35 @@ def liquid_stresses(D: Any, rows: Any, bulk: Any, J: Any, volume: Any, beta: Any
 # ------------------------------------------------------------------------------------------------- solids
 
 
-@njit
-def _total_2d(D: Any, base: Any, q: Any) -> Any:
-    return (base[q, 0] + D[q, 0], base[q, 1] + D[q, 1], base[q, 2] + D[q, 2], base[q, 3] + D[q, 3])
+def _total(D: Any, base: Any, q: Any, dim: Any) -> Any:
+    """``base + D`` of a point, as a flat row-major tuple."""
+    raise NotImplementedError("compiled code only")
 
 
-@njit
-def _total_3d(D: Any, base: Any, q: Any) -> Any:
-    return (
-        base[q, 0] + D[q, 0],
-        base[q, 1] + D[q, 1],
-        base[q, 2] + D[q, 2],
-        base[q, 3] + D[q, 3],
-        base[q, 4] + D[q, 4],
-        base[q, 5] + D[q, 5],
-        base[q, 6] + D[q, 6],
-        base[q, 7] + D[q, 7],
-        base[q, 8] + D[q, 8],
-    )
+@extending.overload(_total)
+def _total_compiled(D: Any, base: Any, q: Any, dim: Any) -> Any:
+    def planar(D: Any, base: Any, q: Any, dim: Any) -> Any:
+        return (base[q, 0] + D[q, 0], base[q, 1] + D[q, 1], base[q, 2] + D[q, 2], base[q, 3] + D[q, 3])
+
+    def spatial(D: Any, base: Any, q: Any, dim: Any) -> Any:
+        return (
+            base[q, 0] + D[q, 0],
+            base[q, 1] + D[q, 1],
+            base[q, 2] + D[q, 2],
+            base[q, 3] + D[q, 3],
+            base[q, 4] + D[q, 4],
+            base[q, 5] + D[q, 5],
+            base[q, 6] + D[q, 6],
+            base[q, 7] + D[q, 7],
+            base[q, 8] + D[q, 8],
+        )
+
+    return planar if len(dim) == 2 else spatial
 
 
 @njit(parallel=True)
-def solid_energies_2d(
-    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, out: Any
+def solid_energies(
+    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, dim: Any, out: Any
 ) -> None:
     """``volume Psi(base + D)`` [J] of the points `rows`, by any law of `femdeform.materials`.
 
@@ -113,54 +119,32 @@ def solid_energies_2d(
         The law with the Lame parameters 1, 0 and with 0, 1.
     moduli : (n_points, 2)
         mu and lmbda [Pa].
+    dim : tuple
+        Its length is the dimension.
     out : (n_points,)
         Receives the energies of these points.
     """
     for t in prange(rows.shape[0]):
         q = rows[t]
         law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
-        out[q] = volume[q] * energy_density(_total_2d(D, base, q), law)
+        out[q] = volume[q] * energy_density(_total(D, base, q, dim), law)
 
 
 @njit(parallel=True)
-def solid_energies_3d(
-    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, out: Any
+def solid_stresses(
+    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, dim: Any, out: Any
 ) -> None:
-    """As `solid_energies_2d`."""
+    """``volume dPsi/dF`` [J] into rows of `out` (n_points, dim^2); see `solid_energies`."""
     for t in prange(rows.shape[0]):
         q = rows[t]
         law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
-        out[q] = volume[q] * energy_density(_total_3d(D, base, q), law)
-
-
-@njit(parallel=True)
-def solid_stresses_2d(
-    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, out: Any
-) -> None:
-    """``volume dPsi/dF`` [J] into rows of `out` (n_points, 4)."""
-    for t in prange(rows.shape[0]):
-        q = rows[t]
-        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
-        P = pk1(_total_2d(D, base, q), law)
-        for c in range(4):
+        P = pk1(_total(D, base, q, dim), law)
+        for c in range(len(P)):
             out[q, c] = volume[q] * P[c]
 
 
 @njit(parallel=True)
-def solid_stresses_3d(
-    D: Any, base: Any, rows: Any, volume: Any, shear: Any, dilation: Any, moduli: Any, out: Any
-) -> None:
-    """``volume dPsi/dF`` [J] into rows of `out` (n_points, 9)."""
-    for t in prange(rows.shape[0]):
-        q = rows[t]
-        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
-        P = pk1(_total_3d(D, base, q), law)
-        for c in range(9):
-            out[q, c] = volume[q] * P[c]
-
-
-@njit(parallel=True)
-def solid_tangents_2d(
+def solid_tangents(
     D: Any,
     base: Any,
     rows: Any,
@@ -168,42 +152,23 @@ def solid_tangents_2d(
     shear: Any,
     dilation: Any,
     moduli: Any,
+    dim: Any,
     project: Any,
     place: Any,
     out: Any,
 ) -> None:
-    """``volume d2Psi/dF2`` [J] into `out[place[q]]`, (4, 4) each, the closest semi-definite one if `project`."""
+    """``volume d2Psi/dF2`` [J] into `out[place[q]]`, (dim^2, dim^2) each; see `solid_energies`.
+
+    The closest semi-definite one if `project`.
+    """
+    n = len(dim) * len(dim)
     for t in prange(rows.shape[0]):
         q = rows[t]
         H = out[place[q]]
         law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
-        tangent(_total_2d(D, base, q), law, project, H)
-        for i in range(4):
-            for j in range(4):
-                H[i, j] *= volume[q]
-
-
-@njit(parallel=True)
-def solid_tangents_3d(
-    D: Any,
-    base: Any,
-    rows: Any,
-    volume: Any,
-    shear: Any,
-    dilation: Any,
-    moduli: Any,
-    project: Any,
-    place: Any,
-    out: Any,
-) -> None:
-    """``volume d2Psi/dF2`` [J] into `out[place[q]]`, (9, 9) each, the closest semi-definite one if `project`."""
-    for t in prange(rows.shape[0]):
-        q = rows[t]
-        H = out[place[q]]
-        law = combined(shear, dilation, moduli[q, 0], moduli[q, 1])
-        tangent(_total_3d(D, base, q), law, project, H)
-        for i in range(9):
-            for j in range(9):
+        tangent(_total(D, base, q, dim), law, project, H)
+        for i in range(n):
+            for j in range(n):
                 H[i, j] *= volume[q]
 
 

@@ -155,28 +155,27 @@ class SolidTerm:
     ) -> None:
         self.law, self.rows = law, rows
         self._base, self._volume, self._place = base, volume, place
-        planar = base.shape[1] == 4
-        dim = 2 if planar else 3
+        dim = 2 if base.shape[1] == 4 else 3
+        self._dim = (0,) * dim
         self._laws = (type(law).from_lame(1.0, 0.0, dim), type(law).from_lame(0.0, 1.0, dim))
         self._moduli = np.tile(np.array([law.mu, law.lmbda]), (len(base), 1))
         if moduli is not None:
             own = np.isfinite(moduli).all(axis=1)
             self._moduli[: len(moduli)][own] = moduli[own]
-        self._energies = point_laws.solid_energies_2d if planar else point_laws.solid_energies_3d
-        self._stresses = point_laws.solid_stresses_2d if planar else point_laws.solid_stresses_3d
-        self._tangents = point_laws.solid_tangents_2d if planar else point_laws.solid_tangents_3d
 
     def energies(self, D: FloatArray, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._energies(D, self._base, self.rows, self._volume, *self._laws, self._moduli, out)
+        point_laws.solid_energies(D, self._base, self.rows, self._volume, *self._laws, self._moduli, self._dim, out)
 
     def stresses(self, D: FloatArray, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._stresses(D, self._base, self.rows, self._volume, *self._laws, self._moduli, out)
+        point_laws.solid_stresses(D, self._base, self.rows, self._volume, *self._laws, self._moduli, self._dim, out)
 
     def tangents(self, D: FloatArray, project: bool, out: FloatArray) -> None:
         """See `PointTerm`."""
-        self._tangents(D, self._base, self.rows, self._volume, *self._laws, self._moduli, project, self._place, out)
+        point_laws.solid_tangents(
+            D, self._base, self.rows, self._volume, *self._laws, self._moduli, self._dim, project, self._place, out
+        )
 
 
 class SurfaceTerm:
