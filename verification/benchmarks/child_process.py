@@ -84,17 +84,20 @@ def _run(command: list[str], case: Mapping[str, Any], environment: dict[str, str
     with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
         case_file, result_file = Path(folder, "case.json"), Path(folder, "result.json")
         case_file.write_text(json.dumps(dict(case)), encoding="utf-8")
-        # A session of its own, so that a case that takes too long goes with all the processes it started.
-        process = subprocess.Popen(
-            [*command, str(case_file), str(result_file)],
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-        )
+        try:
+            # A session of its own, so that a case that takes too long goes with all the processes it started.
+            process = subprocess.Popen(
+                [*command, str(case_file), str(result_file)],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+                errors="replace",
+                start_new_session=True,
+            )
+        except OSError as error:
+            return Outcome("failed", {}, f"cannot be started: {error}")
         try:
             _, complaint = process.communicate(timeout=_PATIENCE)
         except subprocess.TimeoutExpired:
@@ -105,7 +108,10 @@ def _run(command: list[str], case: Mapping[str, Any], environment: dict[str, str
             raise
         if process.returncode != 0 or not result_file.is_file():
             return Outcome("failed", {}, _last_line(complaint) or f"ended with code {process.returncode}")
-        answer = json.loads(result_file.read_text(encoding="utf-8"))
+        try:
+            answer = json.loads(result_file.read_text(encoding="utf-8"))
+        except ValueError as error:
+            return Outcome("failed", {}, f"its result cannot be read: {error}")
     if "skipped" in answer:
         return skipped(answer["skipped"])
     return Outcome("done", answer)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
-from femdeform import jit
-from verification.benchmarks import child_process
-from verification.benchmarks.child_process import Outcome, skipped
-from verification.benchmarks.environment import chosen_cells, is_wanted
-from verification.benchmarks.poisson import Grid
-from verification.benchmarks.run import Findings
+from verification.benchmarks.cases import Cases
+from verification.benchmarks.child_process import Outcome
+from verification.benchmarks.environment import chosen_cells
+from verification.benchmarks.poisson import Grid, chosen_grids
+from verification.benchmarks.tables import Findings
 
 GRIDS = (Grid(64, 2), Grid(128, 2), Grid(32, 3), Grid(64, 3))
 # Steps of the flow whose pressures are solved for; fewer in space, where networks are slow.
@@ -60,47 +60,25 @@ class Results:
     networks: dict[str, Outcome] = field(default_factory=dict)
 
 
-def run_dcdm(say: Callable[[str], None]) -> Findings:
-    """Run all cases, one after the other, each in a process of its own.
-
-    Parameters
-    ----------
-    say : callable
-        Gets a line of text before each case.
-
-    Returns
-    -------
-    Findings
-    """
+def run_dcdm(cases: Cases) -> Findings:
+    """Pressures and steps of the heat equation on each grid, then networks; see `Benchmark`."""
     from verification.benchmarks import dcdm_tables
-
-    chosen = chosen_cells()
-    grids = list(GRIDS) if chosen is None else [Grid(chosen, dim) for dim in (2, 3)]
-    training = CELLS if chosen is None else chosen
-    results = Results(training, 2 * training)
-    for grid in grids:
-        for is_open in (False, True):
-            name = f"{grid}: pressures, {'open' if is_open else 'closed'}"
-            frames = FRAMES if grid.dim == 2 else FRAMES_IN_SPACE
-            case = {"kind": "compare", **grid._asdict(), "frames": frames, "open": is_open}
-            if is_wanted(name):
-                results.pressures[grid, is_open] = _run(grid, name, case, say)
-        if is_wanted(name := f"{grid}: heat"):
-            results.heat[grid] = _run(grid, name, {"kind": "heat", **grid._asdict(), "numbers": NUMBERS}, say)
-    for network, (model, route) in NETWORKS.items():
-        if is_wanted(name := f"training: {network}"):
-            sizes = {"cells": results.training, "test_cells": results.tests, "steps": STEPS, "frames": FRAMES}
-            say(name)
-            case = {"kind": "train", "model": model, "route": route, **sizes}
-            results.networks[network] = child_process.run_module(_CASE, case, jit.default_threads())
-    return dcdm_tables.findings(results)
-
-
-def _run(grid: Grid, name: str, case: dict[str, object], say: Callable[[str], None]) -> Outcome:
     from verification.benchmarks.learned_weights import missing_weights
 
-    reason = missing_weights("dcdm", grid.dim)
-    if reason:
-        return skipped(reason)
-    say(name)
-    return child_process.run_module(_CASE, case, jit.default_threads())
+    training = chosen_cells() or CELLS
+    results = Results(training, 2 * training)
+    cases.begin(partial(dcdm_tables.findings, results))
+    for grid in chosen_grids(GRIDS):
+        reason = missing_weights("dcdm", grid.dim)
+        frames = FRAMES if grid.dim == 2 else FRAMES_IN_SPACE
+        case: dict[str, Any] = {"kind": "compare", **grid._asdict(), "frames": frames}
+        for is_open in (False, True):
+            name = f"{grid}: pressures, {'open' if is_open else 'closed'}"
+            cases.run(results.pressures, (grid, is_open), name, _CASE, case | {"open": is_open}, reason=reason)
+        case = {"kind": "heat", **grid._asdict(), "numbers": NUMBERS}
+        cases.run(results.heat, grid, f"{grid}: heat", _CASE, case, reason=reason)
+    for network, (model, route) in NETWORKS.items():
+        case = {"kind": "train", "model": model, "route": route, "steps": STEPS, "frames": FRAMES}
+        case |= {"cells": results.training, "test_cells": results.tests}
+        cases.run(results.networks, network, f"training: {network}", _CASE, case)
+    return dcdm_tables.findings(results)

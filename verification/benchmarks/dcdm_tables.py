@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from verification.benchmarks.dcdm import NUMBERS, STEPS, Results
 from verification.benchmarks.dcdm_case import KEPT, TOLERANCE
-from verification.benchmarks.run import Findings
-from verification.benchmarks.tables import Cell, Table, add_reasons
+from verification.benchmarks.tables import Cell, Findings, Table, add_reasons
 
 _TOLERANCES = (1e-4, TOLERANCE)
 _COLOURS = ("#4477aa", "#ee6677", "#228833", "#aa3377", "#ccbb44", "#66ccee", "#994f00", "#666666", "#222222")
@@ -38,7 +38,7 @@ def findings(results: Results) -> Findings:
     everything = named | {f"{grid}, heat:": o for grid, o in results.heat.items()} | results.networks
     failures = [f"{name} {o.reason}" for name, o in everything.items() if o.status == "failed"]
     tables = [table for table in tables if table.rows or table.notes]
-    return Findings(summary, tables, _data(results), failures, _plots(results))
+    return Findings(summary, tables, _data(results), failures, partial(_plots, results))
 
 
 def iterations(curve: list[float], tolerance: float) -> int | None:

@@ -1,14 +1,17 @@
-"""What the surroundings say about a benchmark: its size, and which linear solvers there are."""
+"""What the surroundings say about a benchmark: its size, its threads, which linear solvers and peers there are."""
 
 from __future__ import annotations
 
 import os
 from importlib.util import find_spec
+from pathlib import Path
 
+from femdeform import jit
 from femdeform.errors import InputError
 
 CELLS_VARIABLE = "FEMDEFORM_BENCH_CELLS"
 ONLY_VARIABLE = "FEMDEFORM_BENCH_ONLY"
+PEERS_VARIABLE = "FEMDEFORM_PEERS"
 
 
 def chosen_cells() -> int | None:
@@ -39,3 +42,25 @@ def is_wanted(case: str) -> bool:
 def has_petsc() -> bool:
     """Whether petsc4py is installed."""
     return find_spec("petsc4py") is not None
+
+
+def thread_counts() -> list[int]:
+    """All threads, and one."""
+    return sorted({jit.default_threads(), 1}, reverse=True)
+
+
+def peers_python() -> tuple[Path | None, str]:
+    """Return the Python of the environment with the peers, or None and the reason.
+
+    FEMDEFORM_PEERS names the environment's folder or its Python; default: ``.venv-peers`` in the source tree or in
+    the current folder, as `make peers` leaves it.
+    """
+    named = os.environ.get(PEERS_VARIABLE, "").strip()
+    folders = [Path(named)] if named else [Path(__file__).resolve().parents[2] / ".venv-peers", Path(".venv-peers")]
+    for folder in folders:
+        for candidate in (folder / "bin" / "python", folder):
+            if candidate.is_file() and os.access(candidate, os.X_OK):
+                return candidate.absolute(), ""
+    if named:
+        return None, f"there is no Python at {named} ({PEERS_VARIABLE})"
+    return None, "no environment with peers: make one with `make peers`"

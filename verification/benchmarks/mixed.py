@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
-from femdeform import jit
 from solvers.linear.ksp import load_preset
-from verification.benchmarks import child_process
+from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome
-from verification.benchmarks.environment import chosen_cells, has_petsc
+from verification.benchmarks.environment import chosen_cells, has_petsc, is_wanted
 from verification.benchmarks.mixed_bodies import (
     BEAM_DT,
     ITERATION_BODIES,
@@ -21,7 +20,7 @@ from verification.benchmarks.mixed_bodies import (
     block,
 )
 from verification.benchmarks.newton import newton_presets
-from verification.benchmarks.run import Findings
+from verification.benchmarks.tables import Findings
 
 DT = 0.01  # [s], that of Table 1
 # 1,715 to 98,415 tetrahedra.
@@ -99,29 +98,26 @@ class Results:
         return cases | {f"{kind}, {law}, {E:g} Pa": outcome for (kind, law, E), outcome in self.counts.items()}
 
 
-def run_mixed(say: Callable[[str], None]) -> Findings:
-    """Run all cases, one after the other, each in a process of its own.
-
-    Parameters
-    ----------
-    say : callable
-        Gets a line of text before each case.
-
-    Returns
-    -------
-    Findings
-    """
+def run_mixed(cases: Cases) -> Findings:
+    """Substeps of Table 1, saddle systems, iterations, growth, counts of iterations; see `Benchmark`."""
     from verification.benchmarks import mixed_tables
 
     cells = chosen_cells()
     # Published figures say nothing beside bodies of another size.
     rows = list(TABLE) if cells is None else [TableRow(row.body.small(cells)) for row in TABLE]
     results = Results(rows)
-    _table(results, say)
-    _saddle(results, SADDLE_BODY if cells is None else SADDLE_BODY.small(cells), say)
-    _iterations(results, cells, say)
-    _growth(results, BLOCKS if cells is None else (cells, cells + 1, cells + 2), say)
-    _counts(results, BEAM if cells is None else (2 * cells, 2, 2), say)
+    cases.begin(partial(mixed_tables.findings, results))
+    for row in rows:
+        case = _substep(row.body, linear_solvers(_ALL_BUT))
+        cases.run(results.table, row.body.name, f"Table 1: {row.body.name}", _CASE, case)
+    saddle_body = SADDLE_BODY if cells is None else SADDLE_BODY.small(cells)
+    if is_wanted(name := f"saddle systems: {saddle_body.name}"):
+        case = _substep(saddle_body, linear_solvers(_ALL_BUT) | saddle_solvers())
+        results.saddle = cases.outcome(name, _CASE, case)
+        cases.keep()
+    _iterations(results, cells, cases)
+    _growth(results, BLOCKS if cells is None else (cells, cells + 1, cells + 2), cases)
+    _counts(results, BEAM if cells is None else (2 * cells, 2, 2), cases)
     return mixed_tables.findings(results)
 
 
@@ -155,52 +151,39 @@ def saddle_solvers() -> dict[str, dict[str, Any]]:
     }
 
 
-def _substep(body: Body, variants: dict[str, dict[str, Any]]) -> Outcome:
-    case = {"kind": "substep", "body": body.case(), "dt": DT, "variants": variants}
-    return child_process.run_module(_CASE, case, jit.default_threads())
+def _substep(body: Body, variants: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The case of one substep."""
+    return {"kind": "substep", "body": body.case(), "dt": DT, "variants": variants}
 
 
-def _table(results: Results, say: Callable[[str], None]) -> None:
-    for row in results.rows:
-        say(f"Table 1: {row.body.name}")
-        results.table[row.body.name] = _substep(row.body, linear_solvers(_ALL_BUT))
-
-
-def _saddle(results: Results, body: Body, say: Callable[[str], None]) -> None:
-    say(f"saddle systems: {body.name}")
-    results.saddle = _substep(body, linear_solvers(_ALL_BUT) | saddle_solvers())
-
-
-def _iterations(results: Results, cells: int | None, say: Callable[[str], None]) -> None:
+def _iterations(results: Results, cells: int | None, cases: Cases) -> None:
     for name, (body, reference) in ITERATION_BODIES.items():
         if cells is None:
             results.references[name] = reference
         chosen = body if cells is None else body.small(cells)
+        outcomes = results.iterations.setdefault(name, {})
         for method, solver in METHODS.items():
-            say(f"one iteration: {name}, {method}")
             variants = {preset: {**variant, "solver": solver} for preset, variant in linear_solvers().items()}
             case = {"kind": "iteration", "body": chosen.case(), "dt": BEAM_DT, "variants": variants}
-            outcome = child_process.run_module(_CASE, case, jit.default_threads())
-            results.iterations.setdefault(name, {})[method] = outcome
+            cases.run(outcomes, method, f"one iteration: {name}, {method}", _CASE, case)
 
 
-def _growth(results: Results, blocks: tuple[int, ...], say: Callable[[str], None]) -> None:
+def _growth(results: Results, blocks: tuple[int, ...], cases: Cases) -> None:
     variants = linear_solvers()
     presets = [preset for preset in _GROWTH_PRESETS if preset in variants] or list(variants)
     for cells in blocks:
         outcomes = results.growth.setdefault(cells, {})
         for preset in presets:
             # A process for each: its memory is the factors' or the preconditioner's.
-            say(f"{5 * cells**3:,} tetrahedra, {preset}")
             variant = {**variants[preset], "tolerances": variants[preset].get("tolerances", [])[-1:]}
-            outcomes[preset] = _substep(block(cells), {preset: variant})
+            name = f"growth: {5 * cells**3:,} tetrahedra, {preset}"
+            cases.run(outcomes, preset, name, _CASE, _substep(block(cells), {preset: variant}))
 
 
-def _counts(results: Results, beam: tuple[int, int, int], say: Callable[[str], None]) -> None:
+def _counts(results: Results, beam: tuple[int, int, int], cases: Cases) -> None:
     linear_solver = {"method": "ksp", "preset": "newton-mumps"} if has_petsc() else {"method": "scipy_direct"}
+    variants = {name: {**solver, "tolerance": 1e-9, "max_iterations": 300} for name, solver in COUNTED.items()}
     for kind, law, modulus in PROBLEMS:
-        say(f"iterations: {kind}, {law}, {modulus:g} Pa")
-        variants = {name: {**solver, "tolerance": 1e-9, "max_iterations": 300} for name, solver in COUNTED.items()}
         case = {
             "kind": "counts",
             "problem": kind,
@@ -210,4 +193,5 @@ def _counts(results: Results, beam: tuple[int, int, int], say: Callable[[str], N
             "linear_solver": linear_solver,
             "variants": variants,
         }
-        results.counts[kind, law, modulus] = child_process.run_module(_CASE, case, jit.default_threads())
+        name = f"iterations: {kind}, {law}, {modulus:g} Pa"
+        cases.run(results.counts, (kind, law, modulus), name, _CASE, case)

@@ -203,7 +203,7 @@ def counts(results: Results) -> Table:
         variants = variants_of(outcome)
         if not variants:
             continue
-        worst = max(worst, *(variant["difference"] for variant in variants.values() if variant["converged"]))
+        worst = max([worst, *(variant["difference"] for variant in variants.values() if variant["converged"])])
         cells = [
             str(variant["iterations"]) if variant["converged"] else variant["reason"] for variant in variants.values()
         ]

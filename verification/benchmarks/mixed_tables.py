@@ -7,8 +7,7 @@ from typing import Any
 from verification.benchmarks import mixed_iteration_tables, mixed_substep_tables
 from verification.benchmarks.mixed import DT, METHODS, Results
 from verification.benchmarks.mixed_outcomes import quoted, reference_of, variants_of
-from verification.benchmarks.run import Findings
-from verification.benchmarks.tables import Table, ratio
+from verification.benchmarks.tables import Findings, Table, ratio
 
 
 def findings(results: Results) -> Findings:

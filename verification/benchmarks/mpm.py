@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import partial
+from typing import Any
 
 from femdeform import jit
-from verification.benchmarks import child_process
-from verification.benchmarks.child_process import Outcome, skipped
-from verification.benchmarks.environment import chosen_cells, is_wanted
-from verification.benchmarks.newton import peers_python
-from verification.benchmarks.run import Findings
+from verification.benchmarks.cases import Cases
+from verification.benchmarks.child_process import Outcome
+from verification.benchmarks.environment import chosen_cells, is_wanted, thread_counts
+from verification.benchmarks.tables import Findings, threads_text
 
 # The main case: points, and grid nodes along an edge.
 POINTS, NODES = 512_000, 128
@@ -61,76 +59,44 @@ class Results:
     peers: dict[str, Outcome] = field(default_factory=dict)
 
 
-def run_mpm(say: Callable[[str], None]) -> Findings:
-    """Run all cases, one after the other, each in a process of its own.
-
-    Parameters
-    ----------
-    say : callable
-        Gets a line of text before each case.
-
-    Returns
-    -------
-    Findings
-    """
+def run_mpm(cases: Cases) -> Findings:
+    """Steps, their growth, other materials, sampled surfaces, then peers; see `Benchmark`."""
     from verification.benchmarks import mpm_tables
 
     cells = chosen_cells()
     # FEMDEFORM_BENCH_CELLS is the number of cells along an edge of the body.
     results = Results(POINTS, NODES) if cells is None else Results(8 * cells**3, 2 * cells + 8)
+    cases.begin(partial(mpm_tables.findings, results))
     scale = results.points / POINTS
     most = jit.default_threads()
 
-    def steps(name: str, points: int, law: str, dtype: str, transfer: str, threads: int) -> Outcome | None:
-        if not is_wanted(name):
-            return None
-        say(name)
+    def steps(points: int, law: str, dtype: str, transfer: str) -> dict[str, Any]:
         case = {"kind": "steps", "points": points, "nodes": results.nodes}
-        more = {"law": law, "dtype": dtype, "transfer": transfer}
-        return child_process.run_module(_CASE, case | more, threads)
+        return case | {"law": law, "dtype": dtype, "transfer": transfer}
 
     for dtype in DTYPES:
-        for threads in sorted({most, 1}, reverse=True):
-            name = f"steps: {dtype}, {threads} thread{'s' if threads > 1 else ''}"
-            found = steps(name, results.points, "neo_hookean", dtype, "apic", threads)
-            if found is not None:
-                results.main[dtype, threads] = found
+        for threads in thread_counts():
+            case = steps(results.points, "neo_hookean", dtype, "apic")
+            cases.run(results.main, (dtype, threads), f"steps: {dtype}, {threads_text(threads)}", _CASE, case, threads)
         for points in (max(64, round(each * scale)) for each in GROWTH):
-            found = steps(f"growth: {dtype}, {points:,} points", points, "neo_hookean", dtype, "apic", most)
-            if found is not None:
-                results.growth[points, dtype] = found
+            name = f"growth: {dtype}, {points:,} points"
+            cases.run(results.growth, (points, dtype), name, _CASE, steps(points, "neo_hookean", dtype, "apic"), most)
     for law, transfer in OTHERS:
-        found = steps(f"others: {law}, {transfer}", results.points, law, "float64", transfer, most)
-        if found is not None:
-            results.others[law, transfer] = found
-    for threads in sorted({most, 1}, reverse=True):
-        name = f"sampled: {threads} thread{'s' if threads > 1 else ''}"
-        if is_wanted(name):
-            say(name)
-            case = {"kind": "sampled", "points": max(64, round(SAMPLED * scale)), "nodes": results.nodes}
-            results.sampled[threads] = child_process.run_module(_CASE, case, threads)
-    _peers(results, say, most)
+        case = steps(results.points, law, "float64", transfer)
+        cases.run(results.others, (law, transfer), f"others: {law}, {transfer}", _CASE, case, most)
+    for threads in thread_counts():
+        case = {"kind": "sampled", "points": max(64, round(SAMPLED * scale)), "nodes": results.nodes}
+        cases.run(results.sampled, threads, f"sampled: {threads_text(threads)}", _CASE, case, threads)
+    _peers(results, cases, most)
     return mpm_tables.findings(results)
 
 
-def _peers(results: Results, say: Callable[[str], None], threads: int) -> None:
-    wanted = [dtype for dtype in DTYPES if is_wanted(f"peers: Taichi, {dtype}")]
-    if not wanted:
+def _peers(results: Results, cases: Cases, threads: int) -> None:
+    names = {dtype: f"peers: Taichi, {dtype}" for dtype in DTYPES}
+    if not any(is_wanted(name) for name in names.values()):
         return
-    python, reason = peers_python()
-    if python is None:
-        results.peers = dict.fromkeys(wanted, skipped(reason))
-        return
-    with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
-        dump = str(Path(folder, "points.npz"))
-        case = {"kind": "dump", "points": results.points, "nodes": results.nodes, "dump": dump}
-        written = child_process.run_module(_CASE, case, 1)
-        for dtype in wanted:
-            if not written.done:
-                results.peers[dtype] = skipped("there is no state to compare at")
-                continue
-            say(f"peers: Taichi, {dtype}")
-            path = Path(__file__).parent / "peers" / "taichi_mpm.py"
-            results.peers[dtype] = child_process.run_script(
-                python, path, {"dump": dump, "dtype": dtype, "threads": threads}
-            )
+    state = {"kind": "dump", "points": results.points, "nodes": results.nodes}
+    with cases.state(_CASE, state) as (dump, written):
+        for dtype, name in names.items():
+            case = {"dump": dump, "dtype": dtype, "threads": threads}
+            cases.peer(results.peers, dtype, name, "taichi_mpm.py", case, written)

@@ -8,8 +8,7 @@ from verification.benchmarks.child_process import Outcome
 from verification.benchmarks.environment import is_wanted
 from verification.benchmarks.mpm import DTYPES, POINTS, Results
 from verification.benchmarks.mpm_case import DENSITY, DT, MU, PHASES, SAMPLED_PHASES
-from verification.benchmarks.run import Findings
-from verification.benchmarks.tables import Table, add_reasons, megabytes, ratio, seconds
+from verification.benchmarks.tables import Findings, Table, add_reasons, megabytes, ratio, seconds, threads_text
 
 # Million points a second of the main case on two threads.
 AIMS = {"float64": 5.0, "float32": 7.0}
@@ -51,7 +50,7 @@ def _main(results: Results) -> Table:
         notes=["momentum: what its change beside gravity's is, relative, after all steps."],
     )
     for (dtype, threads), outcome in results.main.items():
-        name = f"{dtype}, {threads} thread{'s' if threads > 1 else ''}"
+        name = f"{dtype}, {threads_text(threads)}"
         add_reasons(table, {name: outcome})
         if outcome.done:
             table.rows.append([*_row(name, outcome), megabytes(outcome.data["memory"])])
@@ -93,7 +92,7 @@ def _sampled(results: Results) -> Table:
         notes=["stencils: of all points, samples and their mirror images; those of heat are taken from them."],
     )
     for threads, outcome in results.sampled.items():
-        name = f"{threads} thread{'s' if threads > 1 else ''}"
+        name = threads_text(threads)
         add_reasons(table, {name: outcome})
         if outcome.done:
             parts = [f"{1e3 * outcome.data['phases'][phase]:.1f} ms" for phase in SAMPLED_PHASES]

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from femdeform import jit, registry
-from verification.benchmarks import child_process
+from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome, skipped
 from verification.benchmarks.environment import chosen_cells, has_petsc
-from verification.benchmarks.run import Findings
+from verification.benchmarks.tables import Findings
 
-PEERS_VARIABLE = "FEMDEFORM_PEERS"
 # 32 nodes along an edge: the block of the position-based literature; 32 cells: the one the peers were measured on.
 NODES_BLOCK = 31
 CELLS_BLOCK = 32
@@ -73,26 +71,16 @@ class Results:
         return cases | {f"comparison, {name}": outcome for name, outcome in self.own.items()}
 
 
-def run_newton(say: Callable[[str], None]) -> Findings:
-    """Run all cases, one after the other, each in a process of its own.
-
-    Parameters
-    ----------
-    say : callable
-        Gets a line of text before each case.
-
-    Returns
-    -------
-    Findings
-    """
+def run_newton(cases: Cases) -> Findings:
+    """Assembly, presets, two ranks, then peers; see `Benchmark`."""
     from verification.benchmarks import newton_tables
 
-    cells, peer_cells = block_sizes()
-    results = Results(cells, peer_cells)
-    _assembly(results, say)
-    _presets(results, say)
-    _two_ranks(results, say)
-    _comparison(results, say)
+    results = Results(*block_sizes())
+    cases.begin(partial(newton_tables.findings, results))
+    _assembly(results.assembly, "threads", f"assembly, {results.cells}^3 cells", results.cells, cases)
+    _presets(results, cases)
+    _two_ranks(results, cases)
+    _comparison(results, cases)
     return newton_tables.findings(results)
 
 
@@ -113,32 +101,26 @@ def newton_presets() -> list[str]:
     return [name for name in registry.preset_names() if name.startswith("newton-")]
 
 
-def _assembly(results: Results, say: Callable[[str], None]) -> None:
-    case = {"kind": "assembly", "cells": results.cells}
-    say(f"assembly, {results.cells}^3 cells")
-    results.assembly["threads"] = child_process.run_module(_CASE, case, jit.default_threads())
+def _assembly(into: dict[str, Outcome], key: str, name: str, cells: int, cases: Cases, **more: str) -> None:
+    """On all threads, and as ``single`` on one; `more` is for the former only."""
+    case = {"kind": "assembly", "cells": cells}
+    cases.run(into, key, name, _CASE, case | more)
     if jit.default_threads() > 1:
-        say(f"assembly, {results.cells}^3 cells, one thread")
-        results.assembly["single"] = child_process.run_module(_CASE, case, 1)
+        cases.run(into, "single", f"{name}, one thread", _CASE, case, 1)
 
 
-def _presets(results: Results, say: Callable[[str], None]) -> None:
+def _presets(results: Results, cases: Cases) -> None:
     for mode, quasistatic in _MODES.items():
         outcomes = results.iterations.setdefault(mode, {})
         for preset in newton_presets():
+            case = _iteration(results.cells, quasistatic, _ksp(preset))
             reason = reason_to_skip(preset, results.cells)
-            if reason:
-                outcomes[preset] = skipped(reason)
-                continue
-            say(f"{preset}, {mode}")
-            outcomes[preset] = _iteration(results.cells, quasistatic, _ksp(preset), jit.default_threads())
+            cases.run(outcomes, preset, f"{preset}, {mode}", _CASE, case, reason=reason)
         if not has_petsc():
-            if results.cells > _SCIPY_CELLS:
-                outcomes["scipy_direct"] = skipped(f"only up to {_SCIPY_CELLS}^3 cells: its factors fill memory")
-            else:
-                say(f"scipy_direct, {mode}")
-                direct = {"method": "scipy_direct"}
-                outcomes["scipy_direct"] = _iteration(results.cells, quasistatic, direct, jit.default_threads())
+            case = _iteration(results.cells, quasistatic, {"method": "scipy_direct"})
+            is_small = results.cells <= _SCIPY_CELLS
+            reason = "" if is_small else f"only up to {_SCIPY_CELLS}^3 cells: its factors fill memory"
+            cases.run(outcomes, "scipy_direct", f"scipy_direct, {mode}", _CASE, case, reason=reason)
         best = fastest(outcomes)
         if best is not None:
             results.best[mode] = best
@@ -170,13 +152,12 @@ def _ksp(preset: str) -> dict[str, Any]:
     return {"method": "ksp", "preset": preset}
 
 
-def _iteration(cells: int, quasistatic: bool, linear_solver: dict[str, Any], threads: int, ranks: int = 1) -> Outcome:
-    case = {"kind": "iteration", "cells": cells, "quasistatic": quasistatic, "linear_solver": linear_solver}
-    launcher = ["mpiexec", "-n", str(ranks)] if ranks > 1 else []
-    return child_process.run_module(_CASE, case, threads, launcher)
+def _iteration(cells: int, quasistatic: bool, linear_solver: dict[str, Any]) -> dict[str, Any]:
+    """The case of one Newton iteration."""
+    return {"kind": "iteration", "cells": cells, "quasistatic": quasistatic, "linear_solver": linear_solver}
 
 
-def _two_ranks(results: Results, say: Callable[[str], None]) -> None:
+def _two_ranks(results: Results, cases: Cases) -> None:
     reason = reason_against_ranks()
     for mode, quasistatic in _MODES.items():
         best = results.best.get(mode)
@@ -184,9 +165,11 @@ def _two_ranks(results: Results, say: Callable[[str], None]) -> None:
             results.ranks[mode] = {2: skipped(reason or "no preset converged on one rank")}
             continue
         outcomes = results.ranks.setdefault(mode, {})
+        case = _iteration(results.cells, quasistatic, _ksp(best))
         for ranks in (1, 2):
-            say(f"{best}, {mode}, {ranks} rank{'s' if ranks > 1 else ''} of one thread")
-            outcomes[ranks] = _iteration(results.cells, quasistatic, _ksp(best), 1, ranks)
+            name = f"{best}, {mode}, {ranks} rank{'s' if ranks > 1 else ''} of one thread"
+            launcher = ["mpiexec", "-n", str(ranks)] if ranks > 1 else []
+            cases.run(outcomes, ranks, name, _CASE, case, 1, launcher)
 
 
 def reason_against_ranks() -> str:
@@ -201,45 +184,16 @@ def reason_against_ranks() -> str:
     return ""
 
 
-def _comparison(results: Results, say: Callable[[str], None]) -> None:
+def _comparison(results: Results, cases: Cases) -> None:
     cells = results.peer_cells
     with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
         dump = str(Path(folder, "block.npz"))
-        say(f"assembly, {cells}^3 cells, for the comparison")
-        case = {"kind": "assembly", "cells": cells}
-        results.own["assembly"] = child_process.run_module(_CASE, case | {"dump": dump}, jit.default_threads())
-        if jit.default_threads() > 1:
-            say(f"assembly, {cells}^3 cells, one thread")
-            results.own["single"] = child_process.run_module(_CASE, case, 1)
+        _assembly(results.own, "assembly", f"comparison: assembly, {cells}^3 cells", cells, cases, dump=dump)
         best = results.best.get("statics")
         if best is not None:
-            say(f"{best}, statics, {cells}^3 cells")
             solver = {"method": "scipy_direct"} if best == "scipy_direct" else _ksp(best)
-            results.own["iteration"] = _iteration(cells, True, solver, jit.default_threads())
-        python, reason = peers_python()
+            name = f"comparison: {best}, statics, {cells}^3 cells"
+            cases.run(results.own, "iteration", name, _CASE, _iteration(cells, True, solver))
+        state = results.own.get("assembly", skipped("not asked for"))
         for name, script in PEERS.items():
-            if python is None:
-                results.peers[name] = skipped(reason)
-            elif not results.own["assembly"].done:
-                results.peers[name] = skipped("there is no state to compare at")
-            else:
-                say(f"{name}, {cells}^3 cells")
-                path = Path(__file__).parent / "peers" / script
-                results.peers[name] = child_process.run_script(python, path, {"block": dump})
-
-
-def peers_python() -> tuple[Path | None, str]:
-    """Return the Python of the environment with the peers, or None and the reason.
-
-    FEMDEFORM_PEERS names the environment's folder or its Python; default: ``.venv-peers`` in the source tree or in
-    the current folder, as `make peers` leaves it.
-    """
-    named = os.environ.get(PEERS_VARIABLE, "").strip()
-    folders = [Path(named)] if named else [Path(__file__).resolve().parents[2] / ".venv-peers", Path(".venv-peers")]
-    for folder in folders:
-        for candidate in (folder / "bin" / "python", folder):
-            if candidate.is_file() and os.access(candidate, os.X_OK):
-                return candidate.absolute(), ""
-    if named:
-        return None, f"there is no Python at {named} ({PEERS_VARIABLE})"
-    return None, "no environment with peers: make one with `make peers`"
+            cases.peer(results.peers, name, f"comparison: {name}, {cells}^3 cells", script, {"block": dump}, state)

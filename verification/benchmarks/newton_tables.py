@@ -7,8 +7,7 @@ from typing import Any
 from verification.benchmarks.block import DT, YOUNGS_MODULUS, stiffness_number
 from verification.benchmarks.child_process import Outcome
 from verification.benchmarks.newton import Results
-from verification.benchmarks.run import Findings
-from verification.benchmarks.tables import Cell, Table, add_reasons, megabytes, ratio, seconds
+from verification.benchmarks.tables import Cell, Findings, Table, add_reasons, megabytes, ratio, seconds, threads_text
 
 _PARTS = {
     "energy": "energy",
@@ -42,16 +41,11 @@ def findings(results: Results) -> Findings:
     return Findings(summary, tables, _data(results), failures)
 
 
-def _threads(outcome: Outcome) -> str:
-    count = outcome.data["threads"]
-    return "1 thread" if count == 1 else f"{count} threads"
-
-
 def _assembly(results: Results) -> Table:
     outcomes = {name: outcome for name, outcome in results.assembly.items() if outcome.done}
     table = Table(
         f"Assembly, {results.cells}^3 cells",
-        ["", *(_threads(outcome) for outcome in outcomes.values()), "million cells a second"],
+        ["", *(threads_text(outcome.data["threads"]) for outcome in outcomes.values()), "million cells a second"],
     )
     for key, label in _PARTS.items():
         values = [outcome.data[key] for outcome in outcomes.values()]
@@ -184,9 +178,10 @@ def _assembly_times(outcome: Outcome) -> dict[str, Any]:
 
 
 def _own_times(results: Results) -> dict[str, Any]:
-    own = _assembly_times(results.own["assembly"])
-    if results.own["assembly"].done:
-        own["memory"] = results.own["assembly"].data["memory"]
+    assembly = results.own.get("assembly")
+    own: dict[str, Any] = {}
+    if assembly is not None and assembly.done:
+        own = _assembly_times(assembly) | {"memory": assembly.data["memory"]}
     repeated = _repeated(results.own.get("iteration"))
     if repeated is not None:
         own["iteration"] = repeated["whole"]

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
-from femdeform import jit
 from solvers.linear.ksp import load_preset
-from verification.benchmarks import child_process
+from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome, skipped
-from verification.benchmarks.environment import chosen_cells, has_petsc, is_wanted
+from verification.benchmarks.environment import chosen_cells, has_petsc, is_wanted, thread_counts
 from verification.benchmarks.machine import available_memory
-from verification.benchmarks.newton import CELLS_BLOCK, NODES_BLOCK, newton_presets, peers_python, reason_to_skip
-from verification.benchmarks.run import Findings
+from verification.benchmarks.newton import CELLS_BLOCK, NODES_BLOCK, newton_presets, reason_to_skip
+from verification.benchmarks.tables import Findings, threads_text
 
 LAWS = ("neo_hookean", "fixed_corotated")
 PRECISIONS = ("float64", "float32")
@@ -81,64 +81,33 @@ class Results:
         return cases | {"comparison, one thread": self.single}
 
 
-def run_pbng(say: Callable[[str], None]) -> Findings:
-    """Run all cases, one after the other, each in a process of its own.
-
-    Parameters
-    ----------
-    say : callable
-        Gets a line of text before each case.
-
-    Returns
-    -------
-    Findings
-    """
+def run_pbng(cases: Cases) -> Findings:
+    """Sweeps, growth, ways to a tolerance, equal budgets, then a peer; see `Benchmark`."""
     from verification.benchmarks import pbng_tables
 
     chosen = chosen_cells()
     cells, peer_cells = (NODES_BLOCK, CELLS_BLOCK) if chosen is None else (chosen, chosen)
-    growth = GROWTH if chosen is None else (chosen, 2 * chosen)
-    case = {"kind": "bandwidth"} if chosen is None else {"kind": "bandwidth", "bytes": 1 << 20}
     results = Results(cells, peer_cells, skipped("not asked for"))
+    cases.begin(partial(pbng_tables.findings, results))
     if is_wanted("bandwidth"):
-        results.bandwidth = child_process.run_module(_CASE, case, jit.default_threads())
-    _sweeps(results, say)
-    _growth(results, growth, say)
-    _convergence(results, say)
-    _budgets(results, say)
-    _comparison(results, say)
+        short = {} if chosen is None else {"bytes": 1 << 20}
+        results.bandwidth = cases.outcome("bandwidth", _CASE, {"kind": "bandwidth", **short})
+        cases.keep()
+    for law, precision, threads in product(LAWS, PRECISIONS, thread_counts()):
+        name = f"sweeps: {law}, {precision}, {threads_text(threads)}"
+        cases.run(results.sweeps, (law, precision, threads), name, _CASE, _sweep(cells, law, precision), threads)
+    for law, size in product(LAWS, GROWTH if chosen is None else (chosen, 2 * chosen)):
+        name = f"growth: {law}, {(size + 1) ** 3:,} nodes"
+        cases.run(results.growth, (law, size), name, _CASE, _sweep(size, law), reason=reason_against_size(size))
+    _convergence(results, cases)
+    _budgets(results, cases)
+    _comparison(results, cases)
     return pbng_tables.findings(results)
 
 
-def _sweeps(results: Results, say: Callable[[str], None]) -> None:
-    for law in LAWS:
-        for precision in PRECISIONS:
-            for threads in sorted({jit.default_threads(), 1}, reverse=True):
-                name = f"sweeps: {law}, {precision}, {threads} thread{'s' if threads > 1 else ''}"
-                if not is_wanted(name):
-                    continue
-                say(name)
-                results.sweeps[law, precision, threads] = _sweep(results.cells, law, precision, threads)
-
-
-def _sweep(cells: int, law: str, precision: str = "float64", threads: int | None = None) -> Outcome:
-    # Constraint colours are a figure of the tables only, and slow to find on the largest block.
-    case = {"kind": "sweep", "cells": cells, "law": law, "precision": precision, "constraints": cells < GROWTH[-1]}
-    return child_process.run_module(_CASE, case, jit.default_threads() if threads is None else threads)
-
-
-def _growth(results: Results, sizes: tuple[int, ...], say: Callable[[str], None]) -> None:
-    for law in LAWS:
-        for cells in sizes:
-            name = f"growth: {law}, {(cells + 1) ** 3:,} nodes"
-            if not is_wanted(name):
-                continue
-            reason = reason_against_size(cells)
-            if reason:
-                results.growth[law, cells] = skipped(reason)
-                continue
-            say(name)
-            results.growth[law, cells] = _sweep(cells, law)
+def _sweep(cells: int, law: str, precision: str = "float64") -> dict[str, Any]:
+    """The case of a sweep. Constraint colours are a figure of the tables only, and slow on the largest block."""
+    return {"kind": "sweep", "cells": cells, "law": law, "precision": precision, "constraints": cells < GROWTH[-1]}
 
 
 def reason_against_size(cells: int) -> str:
@@ -184,16 +153,10 @@ def methods(cells: int) -> dict[str, tuple[dict[str, Any], dict[str, Any] | None
     return found
 
 
-def _convergence(results: Results, say: Callable[[str], None]) -> None:
+def _convergence(results: Results, cases: Cases) -> None:
     for problem in PROBLEMS:
         outcomes = results.convergence.setdefault(problem, {})
         for name, (solver, linear, reason) in methods(results.cells).items():
-            if not is_wanted(f"to a tolerance: {problem}, {name}"):
-                continue
-            if reason:
-                outcomes[name] = skipped(reason)
-                continue
-            say(f"to a tolerance: {problem}, {name}")
             case = {
                 "kind": "convergence",
                 "cells": results.cells,
@@ -204,37 +167,26 @@ def _convergence(results: Results, say: Callable[[str], None]) -> None:
                 "levels": LEVELS,
                 "seconds": _PATIENCE,
             }
-            outcomes[name] = child_process.run_module(_CASE, case, jit.default_threads())
+            cases.run(outcomes, name, f"to a tolerance: {problem}, {name}", _CASE, case, reason=reason)
 
 
-def _budgets(results: Results, say: Callable[[str], None]) -> None:
+def _budgets(results: Results, cases: Cases) -> None:
+    linear = {"method": "ksp", "preset": "newton-icc"} if has_petsc() else None
     for problem in PROBLEMS:
-        if not is_wanted(f"equal budgets: {problem}"):
-            continue
-        say(f"equal budgets: {problem}")
-        linear = {"method": "ksp", "preset": "newton-icc"} if has_petsc() else None
         # PBD knows laws whose constraints vanish at rest.
         case = {"kind": "budgets", "cells": results.cells, "law": LAWS[1], "problem": problem, "sweeps": BUDGETS}
-        results.budgets[problem] = child_process.run_module(
-            _BUDGETS, {**case, "linear_solver": linear}, jit.default_threads()
-        )
+        name = f"equal budgets: {problem}"
+        cases.run(results.budgets, problem, name, _BUDGETS, {**case, "linear_solver": linear})
 
 
-def _comparison(results: Results, say: Callable[[str], None]) -> None:
+def _comparison(results: Results, cases: Cases) -> None:
     if not is_wanted("comparison"):
         return
     with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
         dump = str(Path(folder, "block.npz"))
-        say(f"sweeps, {results.peer_cells}^3 cells, for the comparison")
         case = {"kind": "dump", "cells": results.peer_cells, "dump": dump}
-        results.own = child_process.run_module(_CASE, case, jit.default_threads())
-        results.single = child_process.run_module(_CASE, case, 1)
-        python, reason = peers_python()
-        if python is None:
-            results.peer = skipped(reason)
-        elif not results.own.done:
-            results.peer = skipped("there is no state to compare at")
-        else:
-            say(f"Newton's VBD, {results.peer_cells}^3 cells")
-            path = Path(__file__).parent / "peers" / PEER
-            results.peer = child_process.run_script(python, path, {"block": dump})
+        results.own = cases.outcome(f"comparison: sweeps, {results.peer_cells}^3 cells", _CASE, case)
+        cases.keep()
+        results.single = cases.outcome("comparison: one thread", _CASE, case, 1)
+        cases.keep()
+        results.peer = cases.peer_outcome("comparison: Newton's VBD", PEER, {"block": dump}, results.own)

@@ -10,8 +10,7 @@ from verification.benchmarks.environment import is_wanted
 from verification.benchmarks.newton import NODES_BLOCK
 from verification.benchmarks.pbng import LEVELS, PROBLEMS, Results
 from verification.benchmarks.pbng_case import ANGLE
-from verification.benchmarks.run import Findings
-from verification.benchmarks.tables import Table, add_reasons, megabytes, ratio, seconds
+from verification.benchmarks.tables import Findings, Table, add_reasons, megabytes, ratio, seconds, threads_text
 
 # Table 6.1 of the dissertation, by grid cells along an edge: colours of nodes and constraints, ms an iteration of PBNG
 # and of PBD; 64 cores, AMD Ryzen Threadripper PRO 3995WX, corotated.
@@ -51,15 +50,11 @@ def findings(results: Results) -> Findings:
     return Findings(summary, tables, _data(results), failures)
 
 
-def _threads(count: int) -> str:
-    return "1 thread" if count == 1 else f"{count} threads"
-
-
 def _sweeps(results: Results) -> Table:
     counts = list(dict.fromkeys(n for _, _, n in results.sweeps))
     table = Table(
         f"A plain sweep, {results.cells}^3 cells",
-        ["", *(_threads(n) for n in counts), "speed-up", "bytes a visit", "operations a visit", "GB/s", "Gflop/s"],
+        ["", *(threads_text(n) for n in counts), "speed-up", "bytes a visit", "operations a visit", "GB/s", "Gflop/s"],
         notes=[
             "visit: of a node to one of its tetrahedra. bytes: of the arrays that stream by, all of them over the "
             "visits; neighbours' positions come from the cache and are not counted. operations: additions, "
@@ -68,7 +63,7 @@ def _sweeps(results: Results) -> Table:
     )
     for law, precision in dict.fromkeys((law, precision) for law, precision, _ in results.sweeps):
         outcomes = {n: results.sweeps[law, precision, n] for n in counts if (law, precision, n) in results.sweeps}
-        add_reasons(table, {f"{law}, {precision}, {_threads(n)}": o for n, o in outcomes.items()})
+        add_reasons(table, {f"{law}, {precision}, {threads_text(n)}": o for n, o in outcomes.items()})
         times = {n: outcome.data["time"] for n, outcome in outcomes.items() if outcome.done}
         if counts[0] not in times:
             continue
@@ -86,7 +81,7 @@ def _sweeps(results: Results) -> Table:
             ]
         )
     if results.bandwidth.done:
-        rate, on = results.bandwidth.data["bandwidth"] / 1e9, _threads(results.bandwidth.data["threads"])
+        rate, on = results.bandwidth.data["bandwidth"] / 1e9, threads_text(results.bandwidth.data["threads"])
         table.notes.append(f"Copies of large arrays run at {rate:.1f} GB/s, read and written, on {on}.")
     return table
 
@@ -225,7 +220,7 @@ def _comparison(results: Results) -> Table:
     for outcome in (results.own, results.single):
         if outcome.done:
             for precision, taken in outcome.data["times"].items():
-                name = f"femdeform, {precision}, {_threads(outcome.data['threads'])}"
+                name = f"femdeform, {precision}, {threads_text(outcome.data['threads'])}"
                 table.rows.append([name, seconds(taken), ratio(theirs, taken)])
     if theirs is not None:
         table.rows.append(["Newton, SolverVBD", seconds(theirs), "-"])

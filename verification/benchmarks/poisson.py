@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from femdeform import jit
-from verification.benchmarks import child_process
+from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome, skipped
 from verification.benchmarks.environment import chosen_cells, has_petsc, is_wanted
 from verification.benchmarks.machine import available_memory
-from verification.benchmarks.run import Findings
+from verification.benchmarks.tables import Findings
 
 
 class Grid(NamedTuple):
@@ -75,29 +75,25 @@ class Results:
     solves: dict[tuple[Grid, str, str], Outcome] = field(default_factory=dict)
 
 
-def run_poisson(say: Callable[[str], None]) -> Findings:
-    """Run all cases, one after the other, each in a process of its own.
+def chosen_grids(grids: Sequence[Grid]) -> list[Grid]:
+    """These grids, or one of each dimension as FEMDEFORM_BENCH_CELLS has it."""
+    chosen = chosen_cells()
+    return list(grids) if chosen is None else [Grid(chosen, dim) for dim in (2, 3)]
 
-    Parameters
-    ----------
-    say : callable
-        Gets a line of text before each case.
 
-    Returns
-    -------
-    Findings
-    """
+def run_poisson(cases: Cases) -> Findings:
+    """All solvers on each scene and grid; see `Benchmark`."""
     from verification.benchmarks import poisson_tables
     from verification.benchmarks.poisson_case import SOLVERS
 
-    chosen = chosen_cells()
-    results = Results(list(GRIDS) if chosen is None else [Grid(chosen, dim) for dim in (2, 3)])
+    results = Results(chosen_grids(GRIDS))
+    cases.begin(partial(poisson_tables.findings, results))
     for grid in results.grids:
         names = [name for name in SOLVERS if grid.n_voxels < _LARGE or name.startswith("mg")]
         for scene in SCENES:
             wanted = [name for name in names if is_wanted(case_name(grid, scene, name))]
             if wanted and not (grid.dim == 2 and scene in _SPACE_ONLY):
-                _scene(results, grid, scene, wanted, say)
+                _scene(results, grid, scene, wanted, cases)
     return poisson_tables.findings(results)
 
 
@@ -106,30 +102,26 @@ def case_name(grid: Grid, scene: str, solver: str) -> str:
     return f"{grid}, {scene}: {solver}"
 
 
-def _scene(results: Results, grid: Grid, scene: str, solvers: Sequence[str], say: Callable[[str], None]) -> None:
+def _scene(results: Results, grid: Grid, scene: str, solvers: Sequence[str], cases: Cases) -> None:
     from verification.benchmarks.poisson_domains import FRAMES
 
     kind, is_open = SCENES[scene]
-    threads = jit.default_threads()
     reason = _too_large(grid, "")
     if reason:
         results.solves |= {(grid, scene, name): skipped(reason) for name in solvers}
         return
     with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
         file = str(Path(folder, "frames.npz"))
-        say(f"{grid}, {scene}")
         frames = FRAMES if grid.n_voxels < _LARGE else FRAMES[:1]
-        case = {"kind": "record", "scene": kind, "open": is_open, "frames": frames, "file": file, **grid._asdict()}
-        recorded = child_process.run_module(_CASE, case, threads)
+        case: dict[str, Any] = {"kind": "record", "scene": kind, "open": is_open, "frames": frames, **grid._asdict()}
+        recorded = cases.outcome(f"{grid}, {scene}", _CASE, case | {"file": file})
         results.records[grid, scene] = recorded
+        cases.keep()
         for name in solvers:
             reason = _absent(grid, name) if recorded.done else "there is nothing to solve"
-            if reason:
-                results.solves[grid, scene, name] = skipped(reason)
-                continue
-            say(case_name(grid, scene, name))
             case = {"kind": "solve", "solver": name, "file": file, "tolerances": TOLERANCES}
-            results.solves[grid, scene, name] = child_process.run_module(_CASE, case, threads)
+            key = (grid, scene, name)
+            cases.run(results.solves, key, case_name(*key), _CASE, case, reason=reason)
 
 
 def _absent(grid: Grid, solver: str) -> str:

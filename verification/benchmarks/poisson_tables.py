@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import statistics
+from functools import partial
 from typing import Any
 
 from verification.benchmarks.child_process import Outcome
 from verification.benchmarks.poisson import SCENES, TOLERANCES, Grid, Results
-from verification.benchmarks.run import Findings
-from verification.benchmarks.tables import Cell, Table, add_reasons, megabytes, seconds
+from verification.benchmarks.tables import Cell, Findings, Table, add_reasons, megabytes, seconds
 
 _COLOURS = (
     "#4477aa",
@@ -46,7 +46,8 @@ def findings(results: Results) -> Findings:
         for (grid, scene, solver), o in results.solves.items()
         if o.status == "failed"
     ]
-    return Findings(summary, [table for table in tables if table.rows], _data(results), failures, _plots(results))
+    tables = [table for table in tables if table.rows]
+    return Findings(summary, tables, _data(results), failures, partial(_plots, results))
 
 
 def _of(results: Results, grid: Grid) -> dict[tuple[str, str], Outcome]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,39 +14,13 @@ from femdeform.errors import InputError
 from femdeform.run import atomic
 from femdeform.scene.wording import did_you_mean
 from verification.benchmarks import machine
-from verification.benchmarks.tables import Table
+from verification.benchmarks.cases import Benchmark, Cases
+from verification.benchmarks.tables import Findings
 
 DEFAULT_FOLDER = Path("results") / "bench"
 # Characters a line where the output is no terminal, and nobody else says how wide it is.
 _WIDTH = 120
 
-
-@dataclass
-class Findings:
-    """What a benchmark found.
-
-    Attributes
-    ----------
-    summary : str
-        One paragraph: what was measured.
-    tables : list of Table
-    data : dict
-        Everything measured, for JSON.
-    failures : list of str
-        Cases of femdeform's own that broke; other codes that are absent or broken are notes of the tables.
-    pictures : dict of str to bytes
-        Files beside the tables, by name.
-    """
-
-    summary: str
-    tables: list[Table] = field(default_factory=list)
-    data: dict[str, Any] = field(default_factory=dict)
-    failures: list[str] = field(default_factory=list)
-    pictures: dict[str, bytes] = field(default_factory=dict)
-
-
-# A benchmark says what it is doing by its argument.
-Benchmark = Callable[[Callable[[str], None]], Findings]
 
 # By name, as `module:function`: a benchmark and its libraries are imported only when it runs.
 BENCHMARKS: dict[str, str] = {
@@ -67,7 +42,7 @@ def run_benchmarks(names: list[str], out: Path | None) -> int:
     names : list of str
         Which; all if empty.
     out : Path or None
-        Folder for ``bench.json`` and ``bench.md``; default ``results/bench``.
+        Folder for ``bench.json`` and ``bench.md``; default ``results/bench``. Both are written after every case.
 
     Returns
     -------
@@ -91,20 +66,22 @@ def run_benchmarks(names: list[str], out: Path | None) -> int:
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=_WIDTH)
-    facts = machine.machine_facts()
-    for line in machine.describe(facts):
-        console.print(line, style="dim", markup=False, soft_wrap=True)
-    found: dict[str, Findings] = {}
+    results = Results(folder, machine.machine_facts(), chosen)
+
+    def say(text: str) -> None:
+        console.print(text, style="dim", markup=False, soft_wrap=True)
+
+    for line in machine.describe(results.facts):
+        say(line)
     for name in chosen:
         benchmark: Benchmark = registry.resolve(BENCHMARKS[name])
-        found[name] = benchmark(lambda text: console.print(text, style="dim", markup=False, soft_wrap=True))
-        for table in found[name].tables:
+        findings = benchmark(Cases(say, partial(results.keep, name)))
+        results.finish(name, findings)
+        for table in findings.tables:
             console.print()
             console.print(table.to_rich())
-        # Written after each benchmark: a later one that is interrupted takes nothing with it.
-        write_results(folder, facts, found)
     console.print(f"\n{folder / 'bench.md'}\n{folder / 'bench.json'}", markup=False, soft_wrap=True)
-    failures = [f"{name}: {text}" for name, findings in found.items() for text in findings.failures]
+    failures = [f"{name}: {text}" for name, findings in results.found.items() for text in findings.failures]
     for text in failures:
         console.print(f"failed: {text}", style="red", markup=False, soft_wrap=True)
     return 1 if failures else 0
@@ -128,20 +105,66 @@ def check_names(names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(names)) or list(BENCHMARKS)
 
 
-def write_results(folder: Path, facts: dict[str, Any], found: dict[str, Findings]) -> None:
-    """Write ``bench.json`` (everything), ``bench.md`` (the tables) and pictures."""
-    document = {
-        "schema_version": 1,
-        "machine": facts,
-        "benchmarks": {name: findings.data for name, findings in found.items()},
-    }
-    atomic.write_text(folder / "bench.json", json.dumps(document, indent=2) + "\n")
-    lines = ["# Benchmarks", "", *(f"{line}  " for line in machine.describe(facts)), ""]
-    for name, findings in found.items():
-        lines += [f"## {name}", "", findings.summary, ""]
-        lines += [table.to_markdown() for table in findings.tables]
-        lines += [f"![{picture}]({picture})\n" for picture in findings.pictures]
-        lines += [f"Failed: {text}\n" for text in findings.failures]
-        for picture, content in findings.pictures.items():
-            atomic.write_bytes(folder / picture, content)
-    atomic.write_text(folder / "bench.md", "\n".join(lines))
+@dataclass
+class Results:
+    """What benchmarks have found so far, and the files that say so: each is the old one or the new one at any time.
+
+    Attributes
+    ----------
+    folder : Path
+        Where ``bench.json`` (everything), ``bench.md`` (the tables) and pictures lie.
+    facts : dict
+        About the machine.
+    unfinished : list of str
+        Benchmarks that have cases to come.
+    found : dict of str to Findings
+        By benchmark.
+    pictures : dict of str to list of str
+        Names of the files, by benchmark.
+    """
+
+    folder: Path
+    facts: dict[str, Any]
+    unfinished: list[str]
+    found: dict[str, Findings] = field(default_factory=dict)
+    pictures: dict[str, list[str]] = field(default_factory=dict)
+
+    def keep(self, name: str, findings: Findings) -> None:
+        """Write what a benchmark has found so far.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written.
+        """
+        self.found[name] = findings
+        document = {
+            "schema_version": 1,
+            "machine": self.facts,
+            "unfinished": self.unfinished,
+            "benchmarks": {name: findings.data for name, findings in self.found.items()},
+        }
+        atomic.write_text(self.folder / "bench.json", json.dumps(document, indent=2) + "\n")
+        atomic.write_text(self.folder / "bench.md", self._markdown())
+
+    def finish(self, name: str, findings: Findings) -> None:
+        """Write what a benchmark has found in the end, with its pictures; see `keep`."""
+        self.unfinished = [each for each in self.unfinished if each != name]
+        self.keep(name, findings)
+        drawn = findings.draw()
+        if drawn:
+            for picture, content in drawn.items():
+                atomic.write_bytes(self.folder / picture, content)
+            self.pictures[name] = list(drawn)
+            self.keep(name, findings)
+
+    def _markdown(self) -> str:
+        lines = ["# Benchmarks", "", *(f"{line}  " for line in machine.describe(self.facts)), ""]
+        if self.unfinished:
+            lines += [f"Not finished: {', '.join(self.unfinished)}.", ""]
+        for name, findings in self.found.items():
+            lines += [f"## {name}", "", findings.summary, ""]
+            lines += [table.to_markdown() for table in findings.tables]
+            lines += [f"![{picture}]({picture})\n" for picture in self.pictures.get(name, [])]
+            lines += [f"Failed: {text}\n" for text in findings.failures]
+        return "\n".join(lines)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -61,6 +61,30 @@ class Table:
         return table
 
 
+@dataclass
+class Findings:
+    """What a benchmark found.
+
+    Attributes
+    ----------
+    summary : str
+        One paragraph: what was measured.
+    tables : list of Table
+    data : dict
+        Everything measured, for JSON.
+    failures : list of str
+        Cases of femdeform's own that broke; other codes that are absent or broken are notes of the tables.
+    draw : callable
+        Draws pictures, files beside the tables by name; called when all cases are done.
+    """
+
+    summary: str
+    tables: list[Table] = field(default_factory=list)
+    data: dict[str, Any] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+    draw: Callable[[], dict[str, bytes]] = dict
+
+
 def _markdown_row(entries: Sequence[str | Cell]) -> str:
     texts = [entry.long if isinstance(entry, Cell) else entry for entry in entries]
     return "| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |"
@@ -94,6 +118,11 @@ def ratio(theirs: dict[str, float] | None, ours: dict[str, float] | None) -> str
     if theirs is None or ours is None:
         return "-"
     return f"{theirs['median'] / ours['median']:.1f} x"
+
+
+def threads_text(count: int) -> str:
+    """A number of threads in words."""
+    return "1 thread" if count == 1 else f"{count} threads"
 
 
 def megabytes(size: int | None) -> str:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import partial
+from typing import Any
 
-from femdeform import jit
-from verification.benchmarks import child_process
 from verification.benchmarks.block import DT
-from verification.benchmarks.child_process import Outcome, skipped
-from verification.benchmarks.environment import chosen_cells, is_wanted
-from verification.benchmarks.newton import NODES_BLOCK, peers_python
-from verification.benchmarks.run import Findings
+from verification.benchmarks.cases import Cases
+from verification.benchmarks.child_process import Outcome
+from verification.benchmarks.environment import chosen_cells, is_wanted, thread_counts
+from verification.benchmarks.newton import NODES_BLOCK
+from verification.benchmarks.tables import Findings, threads_text
 
 LAWS = ("neo_hookean", "fixed_corotated")
 METHODS = ("xpbd", "pbd", "b_pxpbd", "fp_pxpbd, 1 local", "fp_pxpbd, 3 local")
@@ -48,54 +46,31 @@ class Results:
     peers: dict[str, Outcome] = field(default_factory=dict)
 
 
-def run_xpbd(say: Callable[[str], None]) -> Findings:
-    """Run all cases, one after the other, each in a process of its own.
-
-    Parameters
-    ----------
-    say : callable
-        Gets a line of text before each case.
-
-    Returns
-    -------
-    Findings
-    """
+def run_xpbd(cases: Cases) -> Findings:
+    """Sweeps, then peers; see `Benchmark`."""
     from verification.benchmarks import xpbd_tables
 
     results = Results(chosen_cells() or NODES_BLOCK)
+    cases.begin(partial(xpbd_tables.findings, results))
     for law in LAWS:
         for method in METHODS:
             # The neo-Hookean pair does not vanish at rest.
             if method == "pbd" and law == "neo_hookean":
                 continue
-            for threads in sorted({jit.default_threads(), 1}, reverse=True):
-                name = f"sweeps: {law}, {method}, {threads} thread{'s' if threads > 1 else ''}"
-                if not is_wanted(name):
-                    continue
-                say(name)
-                case = {"kind": "sweeps", "cells": results.cells, "law": law, "method": method}
-                more = {"kappas": KAPPAS, "looks": LOOKS}
-                results.sweeps[law, method, threads] = child_process.run_module(_CASE, case | more, threads)
-    _peers(results, say)
+            case: dict[str, Any] = {"kind": "sweeps", "cells": results.cells, "law": law, "method": method}
+            case |= {"kappas": KAPPAS, "looks": LOOKS}
+            for threads in thread_counts():
+                name = f"sweeps: {law}, {method}, {threads_text(threads)}"
+                cases.run(results.sweeps, (law, method, threads), name, _CASE, case, threads)
+    _peers(results, cases)
     return xpbd_tables.findings(results)
 
 
-def _peers(results: Results, say: Callable[[str], None]) -> None:
-    wanted = {name: script for name, script in PEERS.items() if is_wanted(f"peers: {name}")}
-    if not wanted:
+def _peers(results: Results, cases: Cases) -> None:
+    names = {name: f"peers: {name}" for name in PEERS}
+    if not any(is_wanted(name) for name in names.values()):
         return
-    python, reason = peers_python()
-    if python is None:
-        results.peers = dict.fromkeys(wanted, skipped(reason))
-        return
-    with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
-        dump = str(Path(folder, "block.npz"))
-        case = {"kind": "dump", "cells": results.cells, "dump": dump, "dt": DT, "kappas": KAPPAS, "looks": LOOKS}
-        written = child_process.run_module(_CASE, case, 1)
-        for name, script in wanted.items():
-            if not written.done:
-                results.peers[name] = skipped("there is no state to compare at")
-                continue
-            say(f"peers: {name}")
-            path = Path(__file__).parent / "peers" / script
-            results.peers[name] = child_process.run_script(python, path, {"block": dump})
+    case = {"kind": "dump", "cells": results.cells, "dt": DT, "kappas": KAPPAS, "looks": LOOKS}
+    with cases.state(_CASE, case) as (dump, written):
+        for name, script in PEERS.items():
+            cases.peer(results.peers, name, names[name], script, {"block": dump}, written)

@@ -8,8 +8,7 @@ from typing import Any
 from verification.benchmarks.block import DT, POISSON_RATIO, YOUNGS_MODULUS, stiffness_number
 from verification.benchmarks.environment import is_wanted
 from verification.benchmarks.newton import NODES_BLOCK
-from verification.benchmarks.run import Findings
-from verification.benchmarks.tables import Table, add_reasons, megabytes, ratio, seconds
+from verification.benchmarks.tables import Findings, Table, add_reasons, megabytes, ratio, seconds, threads_text
 from verification.benchmarks.xpbd import KAPPAS, LAWS, LOOKS, METHODS, PEERS, Results
 
 # Milliseconds a sweep on the block of 32^3 nodes, two threads, float64.
@@ -41,10 +40,9 @@ def _threads(results: Results) -> list[int]:
 
 def _times(results: Results) -> Table:
     counts = _threads(results)
-    names = ["1 thread" if n == 1 else f"{n} threads" for n in counts]
     table = Table(
         f"A sweep over the cells, {results.cells}^3 cells",
-        ["", *names, "speed-up", "ns a cell", "colours", "set-up", "memory"],
+        ["", *map(threads_text, counts), "speed-up", "ns a cell", "colours", "set-up", "memory"],
         notes=["ns a cell: on all threads. set-up: colouring, renumbering and layout."],
     )
     for law in LAWS:

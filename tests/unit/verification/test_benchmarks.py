@@ -17,6 +17,7 @@ from femdeform import cli
 from femdeform.errors import InputError
 from verification.benchmarks import child_process, environment, measure, newton, newton_case, newton_tables, run
 from verification.benchmarks.block import Block, stiffness_number
+from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome, skipped
 from verification.benchmarks.tables import Cell, Table, megabytes, ratio, seconds
 
@@ -162,19 +163,19 @@ def test_child_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_environment_with_peers_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(newton.PEERS_VARIABLE, str(tmp_path / "nowhere"))
-    python, reason = newton.peers_python()
+    monkeypatch.setenv(environment.PEERS_VARIABLE, str(tmp_path / "nowhere"))
+    python, reason = environment.peers_python()
     assert python is None
     assert "nowhere" in reason
-    assert newton.PEERS_VARIABLE in reason
+    assert environment.PEERS_VARIABLE in reason
     executable = tmp_path / "bin" / "python"
     executable.parent.mkdir()
     executable.write_text("#!/bin/sh\n")
     executable.chmod(0o755)
-    monkeypatch.setenv(newton.PEERS_VARIABLE, str(tmp_path))
-    assert newton.peers_python() == (executable, "")
-    monkeypatch.setenv(newton.PEERS_VARIABLE, str(executable))
-    assert newton.peers_python() == (executable, "")
+    monkeypatch.setenv(environment.PEERS_VARIABLE, str(tmp_path))
+    assert environment.peers_python() == (executable, "")
+    monkeypatch.setenv(environment.PEERS_VARIABLE, str(executable))
+    assert environment.peers_python() == (executable, "")
 
 
 # ------------------------------------------------------------------------------------------------- cases
@@ -306,7 +307,7 @@ def test_a_broken_case_of_our_own_fails_the_benchmark(
     results.peers["FElupe"] = Outcome("failed", {}, "its own affair")
     found = newton_tables.findings(results)
     assert found.failures == ["newton-a, statics: segmentation fault"]
-    monkeypatch.setattr(newton, "run_newton", lambda say: found)
+    monkeypatch.setattr(newton, "run_newton", lambda cases: found)
     assert run.run_benchmarks(["newton"], tmp_path) == 1
     assert "failed: newton: newton-a, statics: segmentation fault" in capsys.readouterr().out
     text = (tmp_path / "bench.md").read_text()
@@ -345,7 +346,7 @@ def test_newton_benchmark_from_the_command_line(
 ) -> None:
     monkeypatch.setenv(environment.CELLS_VARIABLE, "6")
     monkeypatch.setenv("FEMDEFORM_THREADS", "1")
-    monkeypatch.setenv(newton.PEERS_VARIABLE, str(tmp_path / "no-peers"))
+    monkeypatch.setenv(environment.PEERS_VARIABLE, str(tmp_path / "no-peers"))
     monkeypatch.setattr(newton, "newton_presets", lambda: ["newton-icc"])
     monkeypatch.setattr(newton, "reason_against_ranks", lambda: "not in this test")
     assert cli.main(["bench", "newton", "--out", str(tmp_path / "out")]) == 0
@@ -377,7 +378,7 @@ def test_newton_benchmark_from_the_command_line(
 @pytest.mark.skipif(bool(newton.reason_against_ranks()), reason=newton.reason_against_ranks() or "two ranks are there")
 def test_two_ranks_solve_the_same_system() -> None:
     results = newton.Results(5, 5, best={"statics": "newton-icc"})
-    newton._two_ranks(results, lambda _: None)
+    newton._two_ranks(results, Cases(lambda _: None))
     one, two = (results.ranks["statics"][n] for n in (1, 2))
     assert (one.status, two.status) == ("done", "done"), (one.reason, two.reason)
     assert (one.data["ranks"], two.data["ranks"]) == (1, 2)

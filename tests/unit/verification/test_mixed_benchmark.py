@@ -14,6 +14,7 @@ from femdeform import cli
 from femdeform.errors import InputError
 from meshes.writers import write_mesh
 from verification.benchmarks import environment, mixed, mixed_bodies, mixed_case, mixed_iteration_tables, mixed_tables
+from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome, skipped
 from verification.benchmarks.mixed_bodies import TABLE, Body, TableRow
 
@@ -322,7 +323,7 @@ def test_a_broken_case_fails_the_benchmark() -> None:
 def test_size_from_the_environment_is_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(environment.CELLS_VARIABLE, "one")
     with pytest.raises(InputError, match="at least 2"):
-        mixed.run_mixed(lambda _: None)
+        mixed.run_mixed(Cases(lambda _: None))
 
 
 @needs_petsc

@@ -1,0 +1,168 @@
+"""Cases of benchmarks: each is kept as soon as it is done, one that breaks is named, and the others go on."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from verification.benchmarks import cases, child_process, environment, newton, run
+from verification.benchmarks.cases import Cases
+from verification.benchmarks.child_process import Outcome
+from verification.benchmarks.tables import Findings, Table
+
+Case = Mapping[str, Any]
+
+
+@pytest.fixture(autouse=True)
+def small_and_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FEMDEFORM_THREADS", "1")
+    monkeypatch.setenv(environment.CELLS_VARIABLE, "2")
+    monkeypatch.delenv(environment.ONLY_VARIABLE, raising=False)
+
+
+@pytest.fixture
+def no_process(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Case], Outcome]], None]:
+    """Have a function answer for the process of each case."""
+
+    def replace(answer: Callable[[Case], Outcome]) -> None:
+        monkeypatch.setattr(child_process, "run_module", lambda module, case, *_: answer(case))
+        monkeypatch.setattr(child_process, "run_script", lambda python, script, case: answer(case))
+        monkeypatch.setattr(cases, "peers_python", lambda: (Path(sys.executable), ""))
+
+    return replace
+
+
+def read(folder: Path) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
+    return document
+
+
+def sweep(case: Case) -> Outcome:
+    """What a case of sweeps answers, and the one that writes a state for others."""
+    times = {"median": 1.0, "min": 1.0, "max": 1.0, "n": 5}
+    more = {"n_cells": 40, "colors": 6, "set_up": times, "memory": 10**8, "reached": [[1.0] * 3] * 3}
+    return Outcome("done", {"time": times, **more})
+
+
+@pytest.mark.parametrize("name", run.BENCHMARKS)
+def test_tables_can_be_made_after_every_case(
+    name: str,
+    no_process: Callable[[Callable[[Case], Outcome]], None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """All cases break: each is kept at once and named, and the next one begins."""
+    kept: list[list[str]] = []
+    keep = run.Results.keep
+
+    def keep_and_look(results: run.Results, name: str, findings: Findings) -> None:
+        keep(results, name, findings)
+        assert list(read(tmp_path)["benchmarks"]) == [name]
+        kept.append(read(tmp_path)["unfinished"])
+
+    n_begun = 0
+
+    def breaks(case: Case) -> Outcome:
+        nonlocal n_begun
+        n_begun += 1
+        return Outcome("failed", {}, "it broke")
+
+    no_process(breaks)
+    monkeypatch.setattr(run.Results, "keep", keep_and_look)
+    assert run.run_benchmarks([name], tmp_path) == 1
+    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("failed: ")]
+    while_running = [line for line in printed if not line.startswith(f"failed: {name}: ")]
+    assert all(line.endswith(": it broke") for line in while_running)
+    # What writes a state for other codes is no case of its own.
+    assert n_begun - 1 <= len(while_running) <= n_begun
+    assert len(kept) > len(while_running) > 3
+    assert kept[-1] == []
+    assert all(unfinished == [name] for unfinished in kept[:-1])
+    assert "Failed: " in (tmp_path / "bench.md").read_text(encoding="utf-8")
+
+
+def test_a_benchmark_that_is_ended_keeps_what_it_has(
+    no_process: Callable[[Callable[[Case], Outcome]], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(environment.ONLY_VARIABLE, "sweeps: neo_hookean; steps")
+    seen: list[Case] = []
+
+    def answer(case: Case) -> Outcome:
+        seen.append(case)
+        if case["kind"] == "steps":
+            raise KeyboardInterrupt
+        return sweep(case)
+
+    no_process(answer)
+    with pytest.raises(KeyboardInterrupt):
+        run.run_benchmarks(["xpbd", "mpm"], tmp_path)
+    assert (read(tmp_path)["unfinished"], list(read(tmp_path)["benchmarks"])) == (["mpm"], ["xpbd"])
+    assert len(read(tmp_path)["benchmarks"]["xpbd"]["sweeps"]) == len(seen) - 1 == 4
+    no_process(lambda case: answer({**case, "kind": "steps"}) if case["method"] == "fp_pxpbd, 1 local" else sweep(case))
+    with pytest.raises(KeyboardInterrupt):
+        run.run_benchmarks(["xpbd", "mpm"], tmp_path)
+    document = read(tmp_path)
+    assert [row["method"] for row in document["benchmarks"]["xpbd"]["sweeps"]] == ["xpbd", "b_pxpbd"]
+    assert document["unfinished"] == ["xpbd", "mpm"]
+    page = (tmp_path / "bench.md").read_text(encoding="utf-8")
+    assert "Not finished: xpbd, mpm." in page
+    assert "| b_pxpbd, neo_hookean | 1 s |" in page
+
+
+def test_tables_are_written_before_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def draw() -> dict[str, bytes]:
+        if not is_able:
+            raise RuntimeError("no ink")
+        return {"a.png": b"picture"}
+
+    is_able = False
+    findings = Findings("What was measured.", [Table("Times", ["", "s"], [["row", "1"]])], {"a": 1}, [], draw)
+    monkeypatch.setattr(newton, "run_newton", lambda cases: findings)
+    with pytest.raises(RuntimeError, match="no ink"):
+        run.run_benchmarks(["newton"], tmp_path)
+    assert read(tmp_path)["benchmarks"]["newton"] == {"a": 1}
+    assert "a.png" not in (tmp_path / "bench.md").read_text(encoding="utf-8")
+    is_able = True
+    assert run.run_benchmarks(["newton"], tmp_path) == 0
+    assert (tmp_path / "a.png").read_bytes() == b"picture"
+    assert "![a.png](a.png)" in (tmp_path / "bench.md").read_text(encoding="utf-8")
+
+
+def test_what_is_not_asked_for_is_not_run(
+    no_process: Callable[[Callable[[Case], Outcome]], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in the benchmarks whose cases depend on each other."""
+    monkeypatch.setenv(environment.ONLY_VARIABLE, "two; newton-none; Beam NH")
+    said: list[str] = []
+    no_process(sweep)
+    into: dict[int, Outcome] = {}
+    runs = Cases(said.append)
+    for number, name in enumerate(("one", "two", "twofold")):
+        runs.run(into, number, name, "module", {"kind": "sweeps"}, reason="too large" if number == 2 else "")
+    runs.peer(into, 3, "three", "script.py", {}, into[1])
+    runs.peer(into, 4, "peer of two", "script.py", {}, Outcome("failed", {}, "it broke"))
+    assert {number: outcome.status for number, outcome in into.items()} == {1: "done", 2: "skipped", 4: "skipped"}
+    assert (into[2].reason, into[4].reason) == ("too large", "there is no state to compare at")
+    assert said == ["two"]
+    no_process(lambda case: Outcome("failed", {}, "it broke"))
+    assert run.run_benchmarks(["newton"], tmp_path) == 0
+    assert run.run_benchmarks(["mixed"], tmp_path) == 1
+    assert list(read(tmp_path)["benchmarks"]["mixed"]["table"]) == ["Beam NH"]
+
+
+def test_a_case_that_cannot_be_started_or_read_has_failed(tmp_path: Path) -> None:
+    outcome = child_process.run_module("verification.none", {}, 1, [str(tmp_path / "no-launcher")])
+    assert outcome.status == "failed"
+    assert "cannot be started" in outcome.reason
+    assert "no-launcher" in outcome.reason
+    script = tmp_path / "script.py"
+    script.write_text("import sys\nopen(sys.argv[2], 'w').write('{\"half')\n", encoding="utf-8")
+    outcome = child_process.run_script(Path(sys.executable), script, {})
+    assert outcome.status == "failed"
+    assert "its result cannot be read" in outcome.reason
