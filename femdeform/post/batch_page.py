@@ -15,9 +15,11 @@ from femdeform.post.backend import load_pyvista
 from femdeform.post.batch_plots import study_figure
 from femdeform.post.page import data_address, figure_image, guarded, html_page, resource, section
 from femdeform.post.render import encode_picture
+from femdeform.post.report_tables import verdict_table
 from femdeform.post.stage import Stage
 from femdeform.post.survey import survey
 from femdeform.run import atomic
+from femdeform.run.batch_expectations import allowed
 from femdeform.run.batch_index import Row, StudyTable
 from femdeform.run.batch_plan import shown_value
 from femdeform.run.result import Result
@@ -103,6 +105,9 @@ def page_text(table: StudyTable) -> str:
         status, kind = f"{n_done} runs, all done", "good"
     else:
         status, kind = f"{n_done} of {len(table.rows)} runs done", "bad"
+    n_failed = sum(found["passed"] is False for found in table.verdicts)
+    if n_failed:
+        status, kind = f"{status}, {n_failed} of {len(table.verdicts)} expectations failed", "bad"
     badges = [
         f'<span class="badge {_class(word)}">{count} {escape(word.replace("_", " "))}</span>'
         for word, count in counts.most_common()
@@ -110,6 +115,7 @@ def page_text(table: StudyTable) -> str:
     body = [
         f"<style>\n{resource('batch_page.css')}</style>",
         f'<div class="counts">{"".join(badges)}</div>' if len(counts) > 1 else "",
+        section("Expected of all runs together", _verdicts(table)),
         section("Plots", guarded(lambda: _plots(table))),
         section("Runs", f'{_NOTE}<div class="scroll">{_table(table)}</div>'),
     ]
@@ -119,6 +125,20 @@ def page_text(table: StudyTable) -> str:
 def _plots(table: StudyTable) -> str:
     figure = study_figure(table)
     return "" if figure is None else figure_image(figure, "numbers of the runs over the varied keys")
+
+
+def _verdicts(table: StudyTable) -> str:
+    return verdict_table(
+        [
+            {
+                "quantity": found["quantity"],
+                "computed": found["computed"],
+                "allowed": allowed(found),
+                "passed": found["passed"],
+            }
+            for found in table.verdicts
+        ]
+    )
 
 
 def _class(status: str) -> str:

@@ -19,6 +19,7 @@ _LABELS = {
 _ELSEWHERE = {"title", "status", "reason", "versions", "expect", "obstacles", "link_lines", "method", "linear_solver"}
 _FIRST = ("steps", "time", "wall_seconds", "n_dofs", "n_cells", "ranks", "threads", "bodies")
 _PASSED = ("passed", "ok", "pass")
+_VERDICTS = {True: ("pass", "passed"), None: ("open", "not yet")}
 
 
 def facts_table(facts: Mapping[str, Any]) -> str:
@@ -79,7 +80,7 @@ def verdict_table(expect: Any) -> str:
     Parameters
     ----------
     expect : list of mappings
-        As in ``result.json``: `quantity`, `computed`, `expected`, tolerances, and `passed`.
+        As in ``result.json``: `quantity`, `computed`, `expected`, tolerances, and `passed`, None before it is known.
     """
     rows = [row for row in expect if isinstance(row, Mapping)] if isinstance(expect, Sequence) else []
     if not rows:
@@ -87,8 +88,8 @@ def verdict_table(expect: Any) -> str:
     columns = list(dict.fromkeys(key for row in rows for key in row if key not in _PASSED))
     lines = ["<table><tr>", *(f"<th>{escape(_words(str(c)))}</th>" for c in columns), "<th>verdict</th></tr>"]
     for row in rows:
-        passed = next((row[key] for key in _PASSED if key in row), None)
-        kind, word = ("pass", "passed") if passed is True else ("fail", "FAILED")
+        passed = next((row[key] for key in _PASSED if key in row), False)
+        kind, word = _VERDICTS.get(passed, ("fail", "FAILED"))
         cells = "".join(f"<td>{escape(_text(row.get(column)))}</td>" for column in columns)
         lines.append(f'<tr>{cells}<td class="{kind}">{word}</td></tr>')
     return "\n".join([*lines, "</table>"])

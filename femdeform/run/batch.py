@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -166,7 +167,7 @@ class _Batch:
         for place in (self.out, self.out / "runs"):
             atomic.remove_leftovers(place)
         n_distinct = len(self.plan.distinct)
-        self.index.write_manifest()
+        self.index.write_manifest(self._table().verdicts)
         self.index.write_csv()
         kept = f", {n_distinct - n_todo} of them kept as they are" if n_todo < n_distinct else ""
         self.progress.notice(f"{self.plan.title}: {_count(n_distinct)}{kept}; {self.out}")
@@ -228,7 +229,7 @@ class _Batch:
             return
         self.last_page = time.monotonic()
         try:
-            self.page.write(self.index.table())
+            self.page.write(self._table())
         except MissingDependencyError as error:
             self.progress.notice(f"note: no page: {error}")
 
@@ -237,7 +238,14 @@ class _Batch:
             for name in self.index.files:
                 self._draw(name)
         self.index.write_csv()
+        self.index.write_manifest(self._table().verdicts)
         self._write_page()
+
+    def _table(self) -> StudyTable:
+        """The study as it stands, with what has become of its own `expect`."""
+        table = self.index.table()
+        verdicts = over_runs_verdicts(self.plan.study.study.expect, self.plan.expected, table)
+        return replace(table, verdicts=tuple(verdicts))
 
     def _summarise(self) -> int:
         """Say how the runs stand; the exit code."""
@@ -264,7 +272,7 @@ class _Batch:
         """Say what became of the study's own `expect`, if all runs are finished; the exit code."""
         if code not in (0, _EXPECTATION_FAILED):
             return code
-        verdicts = over_runs_verdicts(self.plan.study.study.expect, self.plan.expected, self.index.table())
+        verdicts = self._table().verdicts
         for found in verdicts:
             if not (self.quiet and found["passed"]):
                 print(described(found), file=sys.stdout if found["passed"] else sys.stderr, flush=True)

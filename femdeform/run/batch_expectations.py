@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,13 +25,16 @@ def over_runs_verdicts(
     columns : sequence of str
         Column of the table that each is about.
     table : StudyTable
-        The study with all its runs; one that has no such number makes the verdict fail.
+        The study with all its runs; one that has no such number makes the verdict fail. As long as one is not
+        finished, `computed` and `passed` are None.
     """
+    is_over = all(row.ending.is_finished for row in table.rows)
     verdicts = []
     for wanted, column in zip(expected, columns, strict=True):
         values = np.array([np.nan if value is None else value for value in table.column(column)], dtype=float)
         name = f"{wanted.statistic} over {values.size} runs of {wanted.scalar}"
-        verdicts.append(verdict(name, over_runs(values, wanted.statistic), wanted))
+        found = verdict(name, over_runs(values, wanted.statistic), wanted)
+        verdicts.append(found if is_over else {**found, "computed": None, "passed": None})
     return verdicts
 
 
@@ -44,7 +47,16 @@ def over_runs(values: FloatArray, statistic: str) -> float:
     return float(np.min(values) if statistic == "smallest" else np.max(values))
 
 
-def described(found: dict[str, Any]) -> str:
+def allowed(found: Mapping[str, Any]) -> str:
+    """The range that a verdict allows, in words."""
+    if "expected" in found:
+        margin = found["atol"] + found["rtol"] * abs(found["expected"])
+        return f"{found['expected']:.6g} ± {margin:.3g}"
+    bounds = {"at least": found.get("at_least"), "at most": found.get("at_most")}
+    return ", ".join(f"{words} {bound:.6g}" for words, bound in bounds.items() if bound is not None)
+
+
+def described(found: Mapping[str, Any]) -> str:
     """A verdict on one line."""
     names = ("expected", "rtol", "atol", "at_least", "at_most")
     wanted = ", ".join(f"{name.replace('_', ' ')} {found[name]:g}" for name in names if found.get(name) is not None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -13,6 +12,7 @@ from typing import Any
 from femdeform.run import atomic
 from femdeform.run.batch_plan import Plan, PlannedRun, short_keys, shown_value
 from femdeform.run.batch_record import WAITING, Ending, RunFiles
+from femdeform.run.plain import to_json
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,8 @@ class StudyTable:
         Names of the numbers.
     rows : tuple of Row
         One for each run, in the order of the study.
+    verdicts : tuple of mapping
+        What the study expects of all runs together, as of `femdeform.run.batch_expectations.over_runs_verdicts`.
     """
 
     title: str
@@ -66,6 +68,7 @@ class StudyTable:
     keys: tuple[str, ...]
     scalars: tuple[str, ...]
     rows: tuple[Row, ...]
+    verdicts: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def short_keys(self) -> dict[str, str]:
@@ -132,8 +135,8 @@ class Index:
         """
         atomic.write_text(self._out / "index.csv", to_csv(self.table()))
 
-    def write_manifest(self) -> None:
-        """Write ``study.json``: what each run sets, and which folder it has.
+    def write_manifest(self, verdicts: Sequence[Mapping[str, Any]]) -> None:
+        """Write ``study.json``: what each run sets, which folder it has, and what has become of the study's `expect`.
 
         Raises
         ------
@@ -151,8 +154,9 @@ class Index:
                 {"number": run.number, "run": run.name, "hash": run.hash, "set": list(run.overrides)}
                 for run in self._plan.runs
             ],
+            "expect": list(verdicts),
         }
-        atomic.write_text(self._out / "study.json", json.dumps(data, indent=2, ensure_ascii=False) + "\n")
+        atomic.write_text(self._out / "study.json", to_json(data))
 
 
 def _numbers(facts: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -107,6 +108,27 @@ def test_a_row_for_each_run(tmp_path: Path) -> None:
         *("runs/000000000000/", "runs/000000000000/report.html", "runs/000000000000.log"),
         *("runs/000000000001/", "runs/000000000001.log"),
     ]
+
+
+def test_verdicts_over_all_runs(tmp_path: Path) -> None:
+    study = table(tmp_path, {"a.b": [1, 2]}, {"s": [1.0, 3.0]})
+    assert "Expected of all runs" not in page_text(study)
+    near = {"quantity": "mean over 2 runs of s", "computed": 2.0, "expected": 2.5, "rtol": 0.1, "atol": 0.5}
+    bounds = {"quantity": "largest <s>", "computed": 3.0, "at_least": 1.0, "at_most": 2.5}
+    judged = replace(study, verdicts=({**near, "passed": True}, {**bounds, "passed": False}))
+    text = page_text(judged)
+    assert parse(text).rows[:3] == [
+        ["quantity", "computed", "allowed", "verdict"],
+        ["mean over 2 runs of s", "2", "2.5 ± 0.75", "passed"],
+        ["largest <s>", "3", "at least 1, at most 2.5", "FAILED"],
+    ]
+    assert '<span class="badge bad">2 runs, all done, 1 of 2 expectations failed</span>' in text
+    passed = page_text(replace(study, verdicts=({**near, "passed": True},)))
+    assert '<span class="badge good">2 runs, all done</span>' in passed
+    waiting = table(tmp_path, {"a.b": [1, 2]}, {"s": [1.0, None]}, endings=[DONE, Ending("waiting")])
+    text = page_text(replace(waiting, verdicts=({**bounds, "computed": None, "passed": None},)))
+    assert parse(text).rows[1] == ["largest <s>", "-", "at least 1, at most 2.5", "not yet"]
+    assert "failed" not in text.partition("</style>")[2].partition("<script>")[0]
 
 
 def test_the_page_needs_nothing_else(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ import pytest
 from scenario import block, body, quasistatic, scene, write
 
 from femdeform.errors import InputError, OutputError
+from femdeform.post.batch_page import BatchPage
 from femdeform.run import batch, batch_process
 from femdeform.run.batch import run_batch
 from femdeform.run.batch_expectations import over_runs, over_runs_verdicts
@@ -93,6 +94,12 @@ def statuses(out: Path) -> dict[str, str]:
     return {row["title"]: row["status"] for row in rows(out)}
 
 
+def expected(out: Path) -> list[dict[str, Any]]:
+    """Verdicts of a study's own `expect`."""
+    verdicts: list[dict[str, Any]] = json.loads((out / "study.json").read_text(encoding="utf-8"))["expect"]
+    return verdicts
+
+
 def logs(out: Path) -> dict[str, str]:
     return {row["title"]: (out / "runs" / f"{row['run']}.log").read_text().split("\n")[0] for row in rows(out)}
 
@@ -155,14 +162,47 @@ def test_what_a_study_expects_of_all_its_runs(tmp_path: Path, capfd: pytest.Capt
     assert not any(found["passed"] for found in over_runs_verdicts(wanted, columns, lacking))
     assert run_batch(path, out=tmp_path / "out", jobs=2) == 0
     assert "smallest over 3 runs of volume_ratio: 1.25 (at least 1.25): passed" in capfd.readouterr().out
+    name = "smallest over 3 runs of volume_ratio"
+    assert expected(tmp_path / "out") == [{"quantity": name, "computed": 1.25, "at_least": 1.25, "passed": True}]
     # Finished runs are kept, the verdict is new.
     path = study(tmp_path, *titles, scalars=["volume_ratio"], expect=[{**smallest, "at_least": 1.5}])
     assert run_batch(path, out=tmp_path / "out", jobs=2, quiet=True) == 1
     assert "1.25 (at least 1.5): FAILED" in capfd.readouterr().err
-    # With a run that has failed there is nothing to judge.
+    assert expected(tmp_path / "out") == [{"quantity": name, "computed": 1.25, "at_least": 1.5, "passed": False}]
+    # With a run that has failed there is nothing to judge, and what was judged before is void.
     path = study(tmp_path, *titles, "diverges", scalars=["volume_ratio"], expect=[smallest])
     assert run_batch(path, out=tmp_path / "out", jobs=2) == 3
     assert "passed" not in capfd.readouterr().out
+    name = "smallest over 4 runs of volume_ratio"
+    assert expected(tmp_path / "out") == [{"quantity": name, "computed": None, "at_least": 1.25, "passed": None}]
+
+
+@pytest.mark.usefixtures("fake")
+@pytest.mark.parametrize(("bound", "code", "words"), [(1.0, 0, "2 runs, all done"), (2.0, 1, "1 of 1 expectations")])
+def test_a_batch_that_goes_on_judges_again(tmp_path: Path, bound: float, code: int, words: str) -> None:
+    """A run was killed: nothing is judged. In the next call it ends well, and all are."""
+    titles, out = ("fine", "killed"), tmp_path / "out"
+    expect = [{"scalar": "volume_ratio", "at_least": bound}]
+    path = study(tmp_path, *titles, scalars=["volume_ratio"], expect=expect)
+    page = BatchPage()
+    assert run_batch(path, out=out, jobs=2, page=page) == 3
+    assert [found["passed"] for found in expected(out)] == [None]
+    assert "not yet" in (out / "index.html").read_text(encoding="utf-8")
+    for _ in range(2):
+        assert run_batch(path, out=out, jobs=2, page=page) == code
+        assert [(found["computed"], found["passed"]) for found in expected(out)] == [(1.25, code == 0)]
+        text = (out / "index.html").read_text(encoding="utf-8")
+        assert words in text
+        assert ("FAILED" in text) == (code == 1)
+
+
+@pytest.mark.usefixtures("fake")
+def test_a_number_that_is_missing_fails(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    expect = [{"scalar": "max_displacement", "at_most": 1.0}]
+    path = study(tmp_path, "a", "b", scalars=["max_displacement"], expect=expect)
+    assert run_batch(path, out=out, jobs=2) == 1
+    assert [(found["computed"], found["passed"]) for found in expected(out)] == [(None, False)]
 
 
 @pytest.mark.usefixtures("fake")
