@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import inf
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -59,17 +59,21 @@ TemperatureLaw = Finite | Annotated[LinearFunction | TableFunction, Field(discri
 # ------------------------------------------------------------------------------------------------------- shapes
 
 
-class BoxShape(SceneModel):
+class _Box(SceneModel):
     kind: Literal["box"] = Field(description="axis-parallel box")
     min: Vector = Field(description="lowest corner [m]")
     max: Vector = Field(description="highest corner [m]")
 
     @model_validator(mode="after")
-    def _ordered(self) -> BoxShape:
+    def _ordered(self) -> Self:
         if len(self.min) != len(self.max):
             raise ValueError(f"max: has {len(self.max)} entries but min has {len(self.min)}")
         check_corners("max", self.min, self.max)
         return self
+
+
+class BoxShape(_Box):
+    pass
 
 
 class SphereShape(SceneModel):
@@ -197,17 +201,8 @@ class MovingArc(SceneModel):
     rate: Finite = Field(default=0.0, description="rate of turning [rad/s]")
 
 
-class HeatedBox(SceneModel):
-    kind: Literal["box"] = Field(description="axis-parallel box")
-    min: Vector = Field(description="lowest corner [m]")
-    max: Vector = Field(description="highest corner [m]")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> HeatedBox:
-        if len(self.min) != len(self.max):
-            raise ValueError(f"max: has {len(self.max)} entries but min has {len(self.min)}")
-        check_corners("max", self.min, self.max)
-        return self
+class HeatedBox(_Box):
+    pass
 
 
 class Wick(SceneModel):
