@@ -106,6 +106,18 @@ class Drop:
         return p.sum(axis=0), L - L.T
 
 
+def turning(x: Array, p: Array) -> Array:
+    """Angular momentum ``sum x_a p_b - x_b p_a``."""
+    product = x.T @ p
+    return np.asarray(product - product.T)
+
+
+def spin(points: Particles, spacing: float) -> Array:
+    """Angular momentum of points with affine velocities about the origin, that of the points themselves included."""
+    own = 0.25 * spacing**2 * np.einsum("p,pab->ab", points.mass, points.affine)
+    return turning(points.x, points.mass[:, None] * points.v) + own.T - own
+
+
 def drop(
     dim: int,
     seed: int = 0,

@@ -6,6 +6,7 @@ import csv
 import json
 import subprocess
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,19 @@ def rolling(linear_solver: dict[str, Any] | None = None, steps: int = 40) -> dic
 def facts(folder: Path) -> dict[str, Any]:
     """What result.json says."""
     return dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
+
+
+def assert_meets_expectations(
+    cli: Callable[..., subprocess.CompletedProcess[str]], scene: Path, out: Path, *more: str
+) -> list[dict[str, Any]]:
+    """Run a scene to its end, where every verdict of its `expect:` holds; the verdicts."""
+    finished = cli("run", scene, "--out", out, *more)
+    assert finished.returncode == 0, finished.stderr
+    found = facts(out)
+    assert found["status"] == "done"
+    verdicts: list[dict[str, Any]] = found["expect"]
+    assert all(verdict["passed"] for verdict in verdicts)
+    return verdicts
 
 
 def without_seconds(path: Path) -> list[dict[str, str]]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from running import assert_meets_expectations
 
 from femdeform.cli import main
 from femdeform.scene.load import load_scene
@@ -27,9 +27,5 @@ def test_a_scene_has_no_faults(name: str) -> None:
 )
 def test_scene(name: str, cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
     path = SCENES / f"{name}.yaml"
-    finished = cli("run", path, "--out", tmp_path / "result")
-    assert finished.returncode == 0, finished.stderr
-    facts = json.loads((tmp_path / "result" / "result.json").read_text(encoding="utf-8"))
-    assert facts["status"] == "done"
-    assert len(facts["expect"]) == 2 + len(load_scene(path).scene.expect.measured)
-    assert all(verdict["passed"] for verdict in facts["expect"])
+    verdicts = assert_meets_expectations(cli, path, tmp_path / "result")
+    assert len(verdicts) == 2 + len(load_scene(path).scene.expect.measured)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from running import assert_meets_expectations
 
 from femdeform.cli import main
 from femdeform.run.batch_scenes import check_runs, plan_runs
@@ -48,13 +48,7 @@ def test_a_study_can_be_run(path: Path) -> None:
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.gallery) for name in NAMES]
 )
 def test_example(name: str, cli: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path) -> None:
-    out = tmp_path / "result"
-    finished = cli("run", SCENES / f"{name}.yaml", "--out", out)
-    assert finished.returncode == 0, finished.stderr
-    facts = json.loads((out / "result.json").read_text(encoding="utf-8"))
-    assert facts["status"] == "done"
-    assert facts["expect"]
-    assert all(verdict["passed"] for verdict in facts["expect"])
+    assert assert_meets_expectations(cli, SCENES / f"{name}.yaml", tmp_path / "result")
 
 
 @pytest.mark.slow

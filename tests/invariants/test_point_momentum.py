@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from point_drop import spin, turning
 
 from femdeform.materials.fixed_corotated import FixedCorotated
 from femdeform.mpm.explicit import ExplicitPoints
@@ -38,18 +39,6 @@ def drop(dim: int, n: int = 60, seed: int = 0) -> tuple[Particles, SurfaceSample
     return particles, SurfaceSamples(points, normals, np.full(owner.size, DX ** (dim - 1)), owner)
 
 
-def turning(x: Array, p: Array) -> Array:
-    """Angular momentum ``sum x_a p_b - x_b p_a``."""
-    product = x.T @ p
-    return np.asarray(product - product.T)
-
-
-def of_points(p: Particles) -> Array:
-    """Angular momentum of points with affine velocities."""
-    own = 0.25 * DX**2 * np.einsum("p,pab->ab", p.mass, p.affine)
-    return turning(p.x, p.mass[:, None] * p.v) + own.T - own
-
-
 def same(a: Any, b: Any, scale: float = 1.0) -> None:
     np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-12 * max(scale, float(np.abs(b).max())))
 
@@ -66,7 +55,7 @@ def test_split_and_transfer_to_the_grid(dim: int, group_apic: bool) -> None:
     same(mass.sum(), particles.mass.sum())
     same(mass @ nodes, particles.mass @ particles.x)
     same(momentum.sum(axis=0), particles.mass @ particles.v)
-    same(turning(nodes, momentum), of_points(particles))
+    same(turning(nodes, momentum), spin(particles, DX))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -79,10 +68,10 @@ def test_merge(dim: int) -> None:
     particles.v, particles.affine = groups.to_points(velocity)
     same(particles.mass @ particles.v, momentum.sum(axis=0))
     expected = turning(groups.stencils.positions, momentum)
-    same(of_points(particles), expected)
+    same(spin(particles, DX), expected)
     center = particles.mass @ particles.x
     particles.x += 0.01 * particles.v
-    same(of_points(particles), expected)
+    same(spin(particles, DX), expected)
     same(particles.mass @ particles.x - center, 0.01 * momentum.sum(axis=0))
 
 
@@ -96,7 +85,7 @@ def test_variants_that_do_not_conserve(dim: int) -> None:
     mass, velocity = momentum_to_grid(groups.stencils, groups.positions, share, shifted, particles.affine[groups.owner])
     momentum = mass[:, None] * velocity
     same(momentum.sum(axis=0), particles.mass @ particles.v)
-    lost = turning(groups.stencils.positions, momentum) - of_points(particles)
+    lost = turning(groups.stencils.positions, momentum) - spin(particles, DX)
     assert np.abs(lost).max() > 1e-2
     velocity = np.random.default_rng(5).standard_normal((mass.size, dim))
     alone = groups.stencils.to_points(velocity)[groups.points]
@@ -130,7 +119,7 @@ def test_steps_with_samples(dim: int, transfer: Any, is_liquid: bool, motion: An
     particles.affine *= 0.1
     particles.phase[:] = LIQUID if is_liquid else 0
     law = Liquid(50.0, 0.5) if is_liquid else FixedCorotated.from_lame(50.0, 80.0, dim)
-    linear, angular = particles.mass @ particles.v, of_points(particles)
+    linear, angular = particles.mass @ particles.v, spin(particles, DX)
     center, now, dt = particles.mass @ particles.x, particles, 1e-4
     for _ in range(20):
         moved = SurfaceSamples(
@@ -139,7 +128,7 @@ def test_steps_with_samples(dim: int, transfer: Any, is_liquid: bool, motion: An
         laws = {(0, int(is_liquid)): law}
         now = explicit_step(now, laws, GRID, dt, samples=moved, transfer=transfer, motion=motion).particles
     same(now.mass @ now.v, linear)
-    same(of_points(now), angular)
+    same(spin(now, DX), angular)
     same(now.mass @ now.x, center + 20 * dt * linear)
     assert np.abs(now.v - particles.v).max() > 0.1
 
@@ -171,11 +160,11 @@ def test_samples_without_mass(dim: int) -> None:
     assert (mass > 0.0).all()
     momentum = mass[:, None] * velocity
     same(momentum.sum(axis=0), particles.mass @ particles.v)
-    same(turning(groups.stencils.positions, momentum), of_points(particles))
+    same(turning(groups.stencils.positions, momentum), spin(particles, DX))
     v, affine = groups.to_points(velocity)
     same(particles.mass @ v, momentum.sum(axis=0))
     moved = replace(particles, v=v, affine=affine)
-    same(of_points(moved), of_points(particles))
+    same(spin(moved, DX), spin(particles, DX))
     same(groups.to_grid(particles.v, particles.affine, True)[1], velocity)
     k = np.full(samples.n, 0.2)
     whole_forces, forces = (surface_forces(each, samples, k) for each in (whole, groups))
@@ -214,7 +203,7 @@ def test_samples_without_mass_among_points_lose_nothing(dim: int) -> None:
     ]
     for now in steps:
         same(now.mass @ now.v, particles.mass @ particles.v)
-        same(of_points(now), of_points(particles), scale=float(particles.mass.sum()))
+        same(spin(now, DX), spin(particles, DX), scale=float(particles.mass.sum()))
     assert np.abs(steps[0].v - steps[1].v).max() > 1e-6
 
 
@@ -246,7 +235,7 @@ def test_steps_on_blocks(dim: int, transfer: Any) -> None:
     linear = particles.mass @ particles.v
     same(now.mass @ now.v, linear)
     if transfer == "apic":
-        same(of_points(now), of_points(particles))
+        same(spin(now, DX), spin(particles, DX))
     if transfer != "flip":
         same(now.mass @ now.x, particles.mass @ particles.x + 50 * 2e-4 * linear)
     assert np.abs(now.v - particles.v).max() > 0.1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from point_drop import spin, turning
 
 from femdeform.mpm.explicit_laws import Liquid
 from femdeform.mpm.grid import Grid
@@ -35,17 +36,6 @@ def drop(dim: int, clustered: bool, seed: int = 0) -> tuple[Particles, SurfaceSa
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     places = x[owner] + DX * rng.uniform(0.3, 0.7, (owner.size, 1)) * normals
     return points, SurfaceSamples(places, normals, np.full(owner.size, DX ** (dim - 1)), owner)
-
-
-def turning(x: Array, p: Array) -> Array:
-    product = x.T @ p
-    return np.asarray(product - product.T)
-
-
-def momentum(p: Particles) -> Array:
-    """Angular momentum about the origin, that of the points themselves included."""
-    own = 0.25 * DX**2 * np.einsum("p,pab->ab", p.mass, p.affine)
-    return turning(p.x, p.mass[:, None] * p.v) + own.T - own
 
 
 @pytest.mark.parametrize("clustered", [False, True])
@@ -95,11 +85,11 @@ def test_momenta_of_the_nodes_are_those_of_the_points(dim: int, clustered: bool)
     before = turning(nodes, mass[:, None] * velocity)
     after, _ = advance(points, LAWS, groups, velocity, 0.01, motion="field")
     scale = np.abs(before).max()
-    np.testing.assert_allclose(momentum(after), before, atol=1e-13 * scale)
+    np.testing.assert_allclose(spin(after, DX), before, atol=1e-13 * scale)
     np.testing.assert_allclose(after.mass @ after.v, mass @ velocity, rtol=1e-13)
     # Shifted points without what they take along have another angular momentum.
     after.affine[:] = groups.to_points(velocity)[1]
-    assert np.abs(momentum(after) - before).max() > 1e-5 * scale
+    assert np.abs(spin(after, DX) - before).max() > 1e-5 * scale
     # A velocity that all have in common turns nothing.
     common = rng.standard_normal(dim) * 10.0
     faster, _ = advance(points, LAWS, groups, velocity + common, 0.01, motion="field")

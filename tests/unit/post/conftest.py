@@ -11,6 +11,13 @@ from made_results import block, quadratic, record, record_flow, record_particles
 from femdeform.run.vtu import FrameMesh
 
 
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are made without one."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+
+
 @pytest.fixture(scope="session")
 def beam(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A block that is sheared upwards."""

@@ -8,33 +8,19 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from drawn_pictures import draw, needs_opengl
 from made_results import record_flow
 
 from femdeform.errors import InputError
 from femdeform.post import backend
 from femdeform.post.batch_page import BatchPage
 from femdeform.post.fields import select_field
-from femdeform.post.render import GIF_SIZE, draw_frames, view
+from femdeform.post.render import GIF_SIZE, view
 from femdeform.post.stage import Stage
 from femdeform.post.survey import survey
 from femdeform.post.voxels import filled, solid_indicator
 from femdeform.run.result import Result
 from femdeform.run.vti import VTIWriter
-
-needs_opengl = pytest.mark.skipif(not backend._can_draw(), reason="no OpenGL here, not even in software")
-SIZE = (640, 400)
-
-
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-
-
-def draw(folder: Path, frames: list[int], field: str | None = None) -> list[np.ndarray]:
-    """Pictures as integers, without title, time and legend."""
-    pictures = draw_frames(Result.open(folder), frames, field=field, size=SIZE)
-    return [picture[50:360, : int(0.83 * SIZE[0])].astype(int) for picture in pictures]
 
 
 def middle(mask: np.ndarray) -> np.ndarray:

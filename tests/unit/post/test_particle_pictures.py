@@ -7,33 +7,19 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from drawn_pictures import draw, needs_opengl
 from made_results import record_particles
 
 from femdeform.errors import InputError
-from femdeform.post import backend
 from femdeform.post.fields import default_field, select_field
 from femdeform.post.particles import outward, spacing
-from femdeform.post.render import draw_frames, view
+from femdeform.post.render import view
 from femdeform.post.survey import survey
 from femdeform.run.result import Result
 from femdeform.run.vtp import VTPWriter
 
-needs_opengl = pytest.mark.skipif(not backend._can_draw(), reason="no OpenGL here, not even in software")
-SIZE = (640, 400)
 # Red, green and blue of the first two bodies.
 BLUE, ROSE = np.array([0x44, 0x77, 0xAA]), np.array([0xEE, 0x66, 0x77])
-
-
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-
-
-def draw(folder: Path, frames: list[int], field: str | None = None) -> list[np.ndarray]:
-    """Pictures as integers, without title, time and legend."""
-    pictures = draw_frames(Result.open(folder), frames, field=field, size=SIZE)
-    return [picture[50:360, : int(0.83 * SIZE[0])].astype(int) for picture in pictures]
 
 
 def like(picture: np.ndarray, colour: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from drawn_pictures import needs_opengl
 from made_results import N_FRAMES, block, record
 
 from femdeform.errors import InputError, MissingDependencyError
@@ -17,14 +18,6 @@ from femdeform.post.stage import Stage
 from femdeform.post.survey import survey
 from femdeform.run.result import Result
 from femdeform.run.vtu import FrameMesh
-
-needs_opengl = pytest.mark.skipif(not backend._can_draw(), reason="no OpenGL here, not even in software")
-
-
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
 
 
 def coloured(picture: np.ndarray) -> np.ndarray:
