@@ -112,7 +112,7 @@ def test_a_benchmark_that_is_ended_keeps_what_it_has(
     assert document["unfinished"] == ["xpbd", "mpm"]
     page = (tmp_path / "bench.md").read_text(encoding="utf-8")
     assert "Not finished: xpbd, mpm." in page
-    assert "| b_pxpbd, neo_hookean | 1 s |" in page
+    assert "| b_pxpbd, neo_hookean | 1 s [1 s, 1 s] |" in page
 
 
 def test_tables_are_written_before_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
