@@ -12,6 +12,7 @@ from typing import Any
 from femdeform import parallel, registry
 from femdeform.errors import InputError
 from femdeform.run import atomic
+from femdeform.run.interrupts import Interrupts
 from femdeform.scene.wording import did_you_mean
 from verification.benchmarks import machine
 from verification.benchmarks.cases import Benchmark, Cases
@@ -55,6 +56,8 @@ def run_benchmarks(names: list[str], out: Path | None) -> int:
         If a name is unknown, or several ranks were started: the benchmarks start ranks themselves.
     OutputError
         If the folder cannot be written.
+    KeyboardInterrupt
+        On SIGINT or SIGTERM; the case that runs is ended, what others have found is kept.
     """
     from rich.console import Console
 
@@ -75,7 +78,8 @@ def run_benchmarks(names: list[str], out: Path | None) -> int:
         say(line)
     for name in chosen:
         benchmark: Benchmark = registry.resolve(BENCHMARKS[name])
-        findings = benchmark(Cases(say, partial(results.keep, name)))
+        with Interrupts():
+            findings = benchmark(Cases(say, partial(results.keep, name)))
         results.finish(name, findings)
         for table in findings.tables:
             console.print()

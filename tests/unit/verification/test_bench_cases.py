@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +44,15 @@ def no_process(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Case], Ou
 def read(folder: Path) -> dict[str, Any]:
     document: dict[str, Any] = json.loads((folder / "bench.json").read_text(encoding="utf-8"))
     return document
+
+
+def commands_with(text: str) -> list[str]:
+    """Command lines of processes that have a text in them; none where there is no /proc."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            found.append(path.read_bytes().decode(errors="replace"))
+    return [command for command in found if text in command]
 
 
 def sweep(case: Case) -> Outcome:
@@ -113,6 +126,29 @@ def test_a_benchmark_that_is_ended_keeps_what_it_has(
     page = (tmp_path / "bench.md").read_text(encoding="utf-8")
     assert "Not finished: xpbd, mpm." in page
     assert "| b_pxpbd, neo_hookean | 1 s [1 s, 1 s] |" in page
+
+
+def test_a_signal_ends_the_case_that_runs(
+    start: Callable[..., subprocess.Popen[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a process: exit code 130, the first cases are kept, nothing goes on in the background."""
+    scratch, out = tmp_path / "scratch", tmp_path / "out"
+    scratch.mkdir()
+    monkeypatch.setenv("TMPDIR", str(scratch))
+    process = start("bench", "xpbd", "--out", out)
+    deadline = time.monotonic() + 300.0
+    while not (out / "bench.json").exists() and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.05)
+    while not list(scratch.iterdir()) and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.005)
+    process.send_signal(signal.SIGTERM)
+    _, error = process.communicate(timeout=60.0)
+    assert process.returncode == 130, error
+    document = read(out)
+    assert document["unfinished"] == ["xpbd"]
+    assert {row["status"] for row in document["benchmarks"]["xpbd"]["sweeps"]} == {"done"}
+    assert list(scratch.iterdir()) == []
+    assert not commands_with(str(scratch))
 
 
 def test_tables_are_written_before_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
