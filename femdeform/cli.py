@@ -399,7 +399,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 _BATCH_EPILOG = """\
 Finished runs are kept, interrupted ones go on; the same command may be given again at any time. The folder gets
-index.csv, index.html and a result folder for each run.
+index.csv, index.html, study.json and a result folder for each run.
 
 examples:
   femdeform batch study.yaml
