@@ -58,6 +58,13 @@ class Results:
     sampled: dict[int, Outcome] = field(default_factory=dict)
     peers: dict[str, Outcome] = field(default_factory=dict)
 
+    def own_cases(self) -> dict[str, Outcome]:
+        """Every case of femdeform's own, by a name for people."""
+        cases = {f"steps, {dtype}, {threads_text(n)}": outcome for (dtype, n), outcome in self.main.items()}
+        cases |= {f"growth, {dtype}, {n:,} points": outcome for (n, dtype), outcome in self.growth.items()}
+        cases |= {f"{law}, {transfer}": outcome for (law, transfer), outcome in self.others.items()}
+        return cases | {f"sampled, {threads_text(n)}": outcome for n, outcome in self.sampled.items()}
+
 
 def run_mpm(cases: Cases) -> Findings:
     """Steps, their growth, other materials, sampled surfaces, then peers; see `Benchmark`."""

@@ -24,8 +24,7 @@ def findings(results: Results) -> Findings:
     )
     tables = [_main(results), _growth(results), _others(results), _sampled(results), _peers(results), _aims(results)]
     tables = [table for table in tables if table.rows or (table.notes and is_wanted(table.title))]
-    cases = [*results.main.items(), *results.growth.items(), *results.others.items(), *results.sampled.items()]
-    failures = [f"{key}: {outcome.reason}" for key, outcome in cases if outcome.status == "failed"]
+    failures = [f"{name}: {o.reason}" for name, o in results.own_cases().items() if o.status == "failed"]
     return Findings(summary, tables, _data(results), failures)
 
 

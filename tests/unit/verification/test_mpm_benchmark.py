@@ -62,7 +62,7 @@ def test_tables() -> None:
     assert "| 2 threads | 64 |" in text
     assert "Taichi, float32 skipped: no Taichi." in text
     assert "float32, 2 threads failed: it broke." in text
-    assert found.failures == ["('float32', 2): it broke"]
+    assert found.failures == ["steps, float32, 2 threads: it broke"]
     json.dumps(found.data)
 
 
