@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from femdeform.errors import InputError
+from femdeform.mpm.crowding import uncrowded
 from femdeform.mpm.explicit import ExplicitPoints
 from femdeform.mpm.grid import Grid
 from femdeform.mpm.group_step import advance, explicit_step
@@ -135,7 +136,7 @@ class PointStep:
             self._area_scales = area_scales(scene, meshes, make_points(scene, meshes) if start is None else start)
         # Without surface and heat explicit steps go through blocks of nodes, which is many times as fast.
         self._is_fast = scene.time.scheme == "explicit" and not (self._samples_surface or self.has_heat)
-        self._is_fast = self._is_fast and scene.transfer.scheme != "group_apic"
+        self._is_fast = self._is_fast and scene.transfer.scheme != "group_apic" and scene.surface.crowding == 0.0
         self._engine: ExplicitPoints | None = None
         self._engine_step = -1
 
@@ -158,6 +159,9 @@ class PointStep:
         tense = surface if self.has_tension else None
         samples = None if tense is None else tense.samples
         groups = Groups.split(points.x, points.mass, samples, self._grid, self._massless)
+        crowding = self.scene.surface.crowding
+        if crowding > 0.0:
+            points.J = uncrowded(points, groups.stencils.of_first(points.n), crowding)
         heat = None
         if self.has_heat:
             heat = self._conduct(points, surface, groups, time, dt)

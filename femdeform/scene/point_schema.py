@@ -64,6 +64,13 @@ class SurfaceSampling(SceneModel):
         description="how points at the surface move: field: with the grid where they are, as their deformation sees "
         "it; group: with the mean over all places where their mass is, as published, which loses volume",
     )
+    crowding: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="part of the excess by which J of liquid points that are closer together than their J says is "
+        "lowered in each step, so that their pressure parts them; has an effect with motion: field [-]",
+    )
     symmetric: bool = Field(
         default=False,
         description="surface energy of the symmetric part of the deformation, in implicit steps: drops "
