@@ -49,6 +49,8 @@ class Results:
         By grid.
     networks : dict
         By name, see `NETWORKS`.
+    transfer : dict
+        By voxels along an edge that the network was trained on.
     training, tests : int
         Voxels along an edge that networks are trained and tried on.
     """
@@ -58,6 +60,7 @@ class Results:
     pressures: dict[tuple[Grid, bool], Outcome] = field(default_factory=dict)
     heat: dict[Grid, Outcome] = field(default_factory=dict)
     networks: dict[str, Outcome] = field(default_factory=dict)
+    transfer: dict[int, Outcome] = field(default_factory=dict)
 
 
 def run_dcdm(say: Callable[[str], None]) -> Findings:
@@ -93,6 +96,12 @@ def run_dcdm(say: Callable[[str], None]) -> Findings:
             say(name)
             case = {"kind": "train", "model": model, "route": route, **sizes}
             results.networks[network] = child_process.run_module(_CASE, case, jit.default_threads())
+    for size in (training, 2 * training):
+        if is_wanted(name := f"transfer: trained on {size} voxels along an edge"):
+            say(name)
+            tests = [training, 2 * training, 4 * training]
+            case = {"kind": "transfer", "cells": size, "tests": tests, "steps": STEPS, "frames": FRAMES}
+            results.transfer[size] = child_process.run_module(_CASE, case, jit.default_threads())
     return dcdm_tables.findings(results)
 
 

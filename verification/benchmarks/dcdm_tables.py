@@ -28,14 +28,17 @@ def findings(results: Results) -> Findings:
         "iterations until the residual is 1e-4 and 1e-6 of the right-hand side, mean of the steps. Heat: one step of "
         "backward Euler, a hot ball in a box whose walls are at zero. Networks: trained in the plane for "
         f"{STEPS} steps on {results.training}^2 voxels, and tried on {results.tests}^2 with the last of the "
-        "pressures, closed. No solver has a guard here: it may fail."
+        "pressures, closed. Transfer: the source's network, trained so on grids of one size and tried on others. No "
+        "solver has a guard here: it may fail."
     )
-    tables = [_pressures(results), _heat(results), _networks(results)]
+    tables = [_pressures(results), _heat(results), _networks(results), _transfer(results)]
     named = {f"{grid}, {_word(is_open)}:": o for (grid, is_open), o in results.pressures.items()}
     add_reasons(tables[0], named)
     add_reasons(tables[1], {f"{grid}:": o for grid, o in results.heat.items()})
     add_reasons(tables[2], {f"{name}:": o for name, o in results.networks.items()})
-    everything = named | {f"{grid}, heat:": o for grid, o in results.heat.items()} | results.networks
+    sizes = {f"trained on {size}^2:": o for size, o in results.transfer.items()}
+    add_reasons(tables[3], sizes)
+    everything = named | {f"{grid}, heat:": o for grid, o in results.heat.items()} | results.networks | sizes
     failures = [f"{name} {o.reason}" for name, o in everything.items() if o.status == "failed"]
     tables = [table for table in tables if table.rows or table.notes]
     return Findings(summary, tables, _data(results), failures, _plots(results))
@@ -100,6 +103,19 @@ def _networks(results: Results) -> Table:
     return table
 
 
+def _transfer(results: Results) -> Table:
+    done = {size: o.data for size, o in results.transfer.items() if o.done}
+    tests = list(dict.fromkeys(cells for data in done.values() for cells in data["curves"]))
+    table = Table(
+        "Transfer: iterations to 1e-4 / 1e-6 by the grid, two directions kept",
+        ["trained on", "training, s", "loss", *(f"{cells}^2" for cells in tests)],
+    )
+    for size, data in done.items():
+        facts = [f"{size}^2", f"{data['seconds']:.0f}", f"{data['loss']:.3f}"]
+        table.rows.append([*facts, *(_counts(data["curves"][cells]) for cells in tests)])
+    return table
+
+
 def _plots(results: Results) -> dict[str, bytes]:
     """Residual against iteration; none without matplotlib."""
     try:
@@ -145,6 +161,11 @@ def _plots(results: Results) -> dict[str, bytes]:
         title = f"blob, {results.tests}$^2$ voxels; two directions kept, dashed: all"
         two_kept, all_kept = ({n: each[k] for n, each in trained.items()} for k in ("2", "all"))
         found["dcdm-networks.png"] = draw(two_kept, title, all_kept)
+    sizes = {size: o.data["curves"] for size, o in results.transfer.items() if o.done}
+    if sizes:
+        cells = list(next(iter(sizes.values())))[-1]
+        curves = {f"trained on {size}$^2$ voxels": each[cells] for size, each in sizes.items()}
+        found["dcdm-transfer.png"] = draw(curves, f"blob, {cells}$^2$ voxels, two directions kept")
     for grid, o in results.heat.items():
         if o.done:
             curves = {
@@ -168,4 +189,5 @@ def _data(results: Results) -> dict[str, Any]:
         "pressures": [{**g._asdict(), "open": is_open, **o.as_data()} for (g, is_open), o in results.pressures.items()],
         "heat": [{**grid._asdict(), **o.as_data()} for grid, o in results.heat.items()],
         "networks": [{"network": name, **o.as_data()} for name, o in results.networks.items()],
+        "transfer": [{"trained_on": size, **o.as_data()} for size, o in results.transfer.items()],
     }
