@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from solvers.linear.poisson.guard import DCDM_LIMITS, Watchdog
 from verification.benchmarks.dcdm import NUMBERS, STEPS, Results
 from verification.benchmarks.dcdm_case import KEPT, TOLERANCE
 from verification.benchmarks.run import Findings
@@ -17,6 +18,9 @@ _TOLERANCES = (1e-4, TOLERANCE)
 _COLOURS = ("#4477aa", "#ee6677", "#228833", "#aa3377", "#ccbb44", "#66ccee", "#994f00", "#666666", "#222222")
 # The source draws this reduction, where its solves end.
 _ENOUGH = 1e-4
+
+# How the default is called.
+_TWO_KEPT = f"dcdm, kept {next(name for name, kept in KEPT.items() if kept == 2)}"
 
 Curves = Mapping[str, list[list[float]]]
 
@@ -74,10 +78,19 @@ def _counts(curves: list[list[float]]) -> str | Cell:
 def _pressures(results: Results) -> Table:
     done = {key: o.data["curves"] for key, o in results.pressures.items() if o.done}
     names = list(dict.fromkeys(name for curves in done.values() for name in curves))
-    table = Table("Pressures: iterations to 1e-4 / 1e-6", ["", *names])
+    table = Table("Pressures: iterations to 1e-4 / 1e-6", ["", *names, "solves the guard would stop"])
     for (grid, is_open), curves in done.items():
-        table.rows.append([f"{grid}, {_word(is_open)}", *(_counts(curves[n]) if n in curves else "-" for n in names)])
+        counts = [_counts(curves[n]) if n in curves else "-" for n in names]
+        stopped = " / ".join(str(sum(_is_stopped(curve, t) for curve in curves[_TWO_KEPT])) for t in _TOLERANCES)
+        table.rows.append([f"{grid}, {_word(is_open)}", *counts, stopped])
     return table
+
+
+def _is_stopped(curve: list[float], tolerance: float) -> bool:
+    """Whether the guard lets another solver go on before the tolerance is met."""
+    watchdog = Watchdog(DCDM_LIMITS, 1.0, tolerance, tolerance)
+    last = iterations(curve, tolerance)
+    return any(watchdog(k, norm) for k, norm in enumerate(curve[1:last], start=1))
 
 
 def _heat(results: Results) -> Table:
@@ -151,9 +164,8 @@ def _plots(results: Results) -> dict[str, bytes]:
             where = f"blob, {_word(is_open)}, {grid.cells}$^{grid.dim}$ voxels, mean and deviation of {{}} steps"
             name = f"{grid.cells}-{grid.dim}d-{_word(is_open)}"
             kept = {key: each for key, each in o.data["curves"].items() if key.startswith("dcdm")}
-            two = f"dcdm, kept {next(n for n, k in KEPT.items() if k == 2)}"
-            solvers = {key: each for key, each in o.data["curves"].items() if key not in kept or key == two}
-            title = where.format(len(kept[two]))
+            solvers = {key: each for key, each in o.data["curves"].items() if key not in kept or key == _TWO_KEPT}
+            title = where.format(len(kept[_TWO_KEPT]))
             found[f"dcdm-solvers-{name}.png"] = draw(solvers, title)
             found[f"dcdm-kept-{name}.png"] = draw(kept, title)
     trained = {name: o.data["curves"] for name, o in results.networks.items() if o.done}

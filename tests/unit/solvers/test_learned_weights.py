@@ -129,7 +129,10 @@ def test_the_shipped_network_finds_the_answer_alone(dim: int, n: int, most: int,
     assert system.norm(b - r) <= 1.01e-4 * system.norm(b)
 
 
-@pytest.mark.parametrize(("dim", "n", "is_open"), [(2, 64, False), (3, 16, False), (3, 16, True), (3, 32, False)])
+@pytest.mark.parametrize(
+    ("dim", "n", "is_open"),
+    [(2, 64, False), (2, 64, True), (3, 16, False), (3, 16, True), (3, 32, False), (3, 32, True)],
+)
 def test_the_guard_lets_the_shipped_network_work(dim: int, n: int, is_open: bool) -> None:
     system = domain(n, dim, is_open)
     make = PressureSolverMaker(DCDMPressureSolver(method="dcdm"), Path())

@@ -83,6 +83,7 @@ def test_failures_are_said() -> None:
         "8^2, open",
         "1 of 2 not in 2 / 1 of 2 not in 2",
         "1 / 2",
+        "0 / 0",
     ]
 
 
