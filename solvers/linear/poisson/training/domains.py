@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, product
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,16 +12,14 @@ LEAST_FLUID = 0.2
 HARD = 0.3
 _AIR_LAYER = 0.35
 _WAVY_SURFACE = 0.15
-# Part of the sides of rooms that have a hole.
-_HOLES = 0.9
 
 
 def random_labels(shape: tuple[int, ...], rng: np.random.Generator, hard: float = HARD) -> NDArray[np.uint8]:
     """Labels of a box with solids, below air at times; only its largest component is fluid.
 
     Up to eight ellipsoids and turned boxes, down to a voxel thin; in a part `hard` of all instead random solid voxels,
-    up to 45 of 100 in two dimensions and 55 in three, or as often thin plates with slits or rooms between thin walls
-    with holes; in 35 of 100 a layer of air at the top, in 15 of 100 a wavy surface.
+    up to 45 of 100 in two dimensions and 55 in three, or as often thin plates with slits; in 35 of 100 a layer of air
+    at the top, in 15 of 100 a wavy surface.
     """
     most_solids = 0.45 if len(shape) == 2 else 0.55
     while True:
@@ -32,7 +28,7 @@ def random_labels(shape: tuple[int, ...], rng: np.random.Generator, hard: float 
         if of_hard < 0.5:
             labels[rng.random(shape) < rng.uniform(0.05, most_solids)] = SOLID
         elif of_hard < 1.0:
-            (_put_plates if rng.random() < 0.5 else _put_rooms)(labels, rng)
+            _put_plates(labels, rng)
         else:
             for _ in range(int(rng.integers(0, 9))):
                 labels[_solid(shape, rng)] = SOLID
@@ -87,25 +83,6 @@ def _put_plates(labels: NDArray[np.uint8], rng: np.random.Generator) -> None:
         place, slit = int(rng.integers(1, view.shape[0] - 1)), int(rng.integers(0, view.shape[1] - 1))
         view[place] = SOLID
         view[place, slit : slit + int(rng.integers(1, 5))] = FLUID
-
-
-def _put_rooms(labels: NDArray[np.uint8], rng: np.random.Generator) -> None:
-    """Walls across every axis at random places; from most rooms a hole of a voxel or two leads to the next."""
-    walls = [
-        np.sort(rng.choice(np.arange(2, n - 2), int(rng.integers(1, max(2, n // 8))), False)) for n in labels.shape
-    ]
-    for axis, places in enumerate(walls):
-        np.moveaxis(labels, axis, 0)[places] = SOLID
-    rooms = [list(pairwise([-1, *places.tolist(), n])) for places, n in zip(walls, labels.shape, strict=True)]
-    for axis, places in enumerate(walls):
-        across = np.moveaxis(labels, axis, 0)
-        for sides in product(places.tolist(), *(rooms[other] for other in range(labels.ndim) if other != axis)):
-            if rng.random() < _HOLES and all(end - begin > 1 for begin, end in sides[1:]):
-                starts = [int(rng.integers(begin + 1, end)) for begin, end in sides[1:]]
-                ends = [
-                    min(start + int(rng.integers(1, 3)), end) for start, (_, end) in zip(starts, sides[1:], strict=True)
-                ]
-                across[(sides[0], *map(slice, starts, ends))] = FLUID
 
 
 def _places(shape: tuple[int, ...]) -> NDArray[np.float64]:

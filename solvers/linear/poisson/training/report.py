@@ -95,9 +95,9 @@ def _facts(settings: TrainingSettings, progress: Progress, command: str, digest:
     head = progress.losses[: len(tail)]
     data = {
         "spd_lmg": "random ellipsoids, turned boxes, air layers and wavy surfaces, "
-        f"{settings.hard_part:.0%} porous solids, plates and rooms; errors left by the cycle itself",
+        f"{settings.hard_part:.0%} porous solids and plates; errors left by the cycle itself",
         "dcdm": "empty boxes and random domains with solids and air, "
-        f"{settings.hard_part:.0%} of the latter porous, with plates or rooms; errors left by the solver itself"
+        f"{settings.hard_part:.0%} of the latter porous or with plates; errors left by the solver itself"
         if settings.route == "on_policy"
         else f"{settings.samples} right-hand sides of Ritz vectors of the empty box, {settings.lanczos} Lanczos steps",
     }[settings.kind]
