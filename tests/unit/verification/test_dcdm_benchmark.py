@@ -109,7 +109,9 @@ def test_the_whole_benchmark_of_dcdm(tmp_path: Path, weights: None, monkeypatch:
         (8, ["8", "16", "32"]),
         (16, ["8", "16", "32"]),
     ]
-    assert data["transfer"][0]["curves"]["32"] != data["transfer"][1]["curves"]["32"]
+    # Two steps leave the weights of the start the best ones, the same for both; what they were trained on differs.
+    assert data["transfer"][0]["loss"] != data["transfer"][1]["loss"]
+    assert all(curve[0][0] == 1.0 for row in data["transfer"] for curve in row["curves"].values())
     pictures = {path.name for path in out.glob("*.png")}
     names = [f"dcdm-{kind}-8-2d-{word}.png" for kind in ("solvers", "kept") for word in ("open", "closed")]
     assert pictures == {*names, "dcdm-networks.png", "dcdm-transfer.png", "dcdm-heat-8-2d.png"}
