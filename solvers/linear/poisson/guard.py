@@ -45,8 +45,9 @@ class Limits:
 
 LMG_LIMITS = Limits(0.5, 12)
 # Line searches lower the energy of the error. Its residual often stays where it is for the first few of them, under air
-# above all, in solves that take a dozen iterations: over three the rule stopped half of those on 64^2 voxels.
-DCDM_LIMITS = Limits(0.8, 30, 8)
+# above all, in solves that take a dozen iterations: over three the rule stopped half of those on 64^2 voxels, over ten
+# none.
+DCDM_LIMITS = Limits(0.8, 30, 10)
 MULTIGRID_LIMITS = Limits(math.inf, 60)
 
 
