@@ -89,6 +89,9 @@ class DCDMPressureSolver(_LearnedPressureModel):
 
 class SPDLMGPressureSolver(_LearnedPressureModel):
     method: Literal["spd_lmg"] = Field(description="conjugate gradients with a learned multigrid cycle")
+    sweeps: int = Field(
+        default=1, ge=1, le=4, description="smoothing sweeps before and after each coarser level; trained with 1"
+    )
 
 
 ClassicalPressureSolver = (

@@ -49,6 +49,8 @@ class Results:
         By grid.
     networks : dict
         By name, see `NETWORKS`.
+    transfer : dict
+        By voxels along an edge that the network was trained on.
     training, tests : int
         Voxels along an edge that networks are trained and tried on.
     """
@@ -58,6 +60,7 @@ class Results:
     pressures: dict[tuple[Grid, bool], Outcome] = field(default_factory=dict)
     heat: dict[Grid, Outcome] = field(default_factory=dict)
     networks: dict[str, Outcome] = field(default_factory=dict)
+    transfer: dict[int, Outcome] = field(default_factory=dict)
 
 
 def run_dcdm(cases: Cases) -> Findings:
@@ -81,4 +84,8 @@ def run_dcdm(cases: Cases) -> Findings:
         case = {"kind": "train", "model": model, "route": route, "steps": STEPS, "frames": FRAMES}
         case |= {"cells": results.training, "test_cells": results.tests}
         cases.run(results.networks, network, f"training: {network}", _CASE, case)
+    for size in (training, 2 * training):
+        tests = [training, 2 * training, 4 * training]
+        case = {"kind": "transfer", "cells": size, "tests": tests, "steps": STEPS, "frames": FRAMES}
+        cases.run(results.transfer, size, f"transfer: trained on {size} voxels along an edge", _CASE, case)
     return dcdm_tables.findings(results)

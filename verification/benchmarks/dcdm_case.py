@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from verification.benchmarks.learned_weights import bench_weights, dcdm_solver, 
 KEPT: dict[str, int | None] = {"1": 1, "2": 2, "all": None}
 TOLERANCE = 1e-6
 _MOST, _MOST_CLASSICAL = 120, 5000
+
+Facts = dict[str, Any]
 
 
 def compare(case: dict[str, Any]) -> dict[str, Any]:
@@ -85,23 +88,58 @@ def train(case: dict[str, Any]) -> dict[str, Any]:
         ``curves`` as those of `compare`, by directions kept; ``n_parameters``; ``loss`` of the last twentieth of the
         steps; ``seconds`` of training.
     """
+    trained = _trained(case, case["model"], case["route"])
+    if isinstance(trained, str):
+        return {"skipped": trained}
+    weights, facts = trained
+    system, b = _test_system(case["test_cells"], case["frames"])
+    curves = {name: _curves(system, dcdm_solver(system, weights, kept), [b]) for name, kept in KEPT.items()}
+    return {"curves": curves, **facts}
+
+
+def transfer(case: dict[str, Any]) -> dict[str, Any]:
+    """Train the source's network on grids of one size, and solve a pressure of a flow past the blob on several.
+
+    Parameters
+    ----------
+    case : dict
+        ``cells`` and ``steps`` of the training; ``tests``: voxels along an edge of the flows; ``frames``, of which the
+        last one is solved.
+
+    Returns
+    -------
+    dict
+        As that of `train`; ``curves`` by voxels along an edge (as text), two directions kept.
+    """
+    trained = _trained(case, "source-64", "on_policy")
+    if isinstance(trained, str):
+        return {"skipped": trained}
+    weights, facts = trained
+    curves = {}
+    for cells in case["tests"]:
+        system, b = _test_system(cells, case["frames"])
+        curves[str(cells)] = _curves(system, dcdm_solver(system, weights), [b])
+    return {"curves": curves, **facts}
+
+
+def _trained(case: dict[str, Any], model: str, route: Literal["on_policy", "ritz"]) -> tuple[Weights, Facts] | str:
+    """Weights, and what there is to say of the training; or why there are none."""
     try:
         from solvers.linear.poisson.training.learn_dcdm import DCDMLearner
         from solvers.linear.poisson.training.loop import run_training
     except ImportError:
-        return {"skipped": "PyTorch is not installed"}
+        return "PyTorch is not installed"
     import tempfile
 
     from solvers.linear.poisson.training.settings import TrainingSettings
 
-    route = case["route"]
     with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
         settings = TrainingSettings(
             "dcdm",
             Path(folder),
             cells=case["cells"],
             steps=case["steps"],
-            model=case["model"],
+            model=model,
             route=route,
             lanczos=case["cells"] ** 2 // 4,
             samples=2000,
@@ -110,16 +148,19 @@ def train(case: dict[str, Any]) -> dict[str, Any]:
         learner = DCDMLearner(settings)
         progress = run_training(settings, learner, False, lambda _: None)
         seconds = time.perf_counter() - begin
-    weights = Weights(learner.meta(), progress.best)
-    labels, b = poisson_domains.record("blob", False, case["test_cells"], case["frames"], 2)[-1]
-    system = PressureSystem(labels)
     tail = progress.losses[-max(1, len(progress.losses) // 20) :]
-    return {
-        "curves": {name: _curves(system, dcdm_solver(system, weights, kept), [b]) for name, kept in KEPT.items()},
+    facts = {
         "n_parameters": learner.architecture.n_parameters,
         "loss": float(np.mean(tail)),
         "seconds": seconds,
     }
+    return Weights(learner.meta(), progress.best), facts
+
+
+def _test_system(cells: int, frames: Sequence[int]) -> tuple[PressureSystem, GridArray]:
+    """The last pressure of a flow past the blob in a closed box, in the plane."""
+    labels, b = poisson_domains.record("blob", False, cells, frames, 2)[-1]
+    return PressureSystem(labels), b
 
 
 def _classical(system: PressureSystem) -> dict[str, PoissonSolver]:
@@ -140,4 +181,4 @@ def _curves(system: PressureSystem, solver: PoissonSolver, sides: list[GridArray
 
 
 if __name__ == "__main__":
-    child_process.serve({"compare": compare, "heat": heat, "train": train})
+    child_process.serve({"compare": compare, "heat": heat, "train": train, "transfer": transfer})

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from solvers.linear.poisson.guard import DCDM_LIMITS, Watchdog
 from verification.benchmarks.dcdm import NUMBERS, STEPS, Results
 from verification.benchmarks.dcdm_case import KEPT, TOLERANCE
 from verification.benchmarks.tables import Cell, Findings, Table, add_reasons
@@ -17,6 +18,9 @@ _TOLERANCES = (1e-4, TOLERANCE)
 _COLOURS = ("#4477aa", "#ee6677", "#228833", "#aa3377", "#ccbb44", "#66ccee", "#994f00", "#666666", "#222222")
 # The source draws this reduction, where its solves end.
 _ENOUGH = 1e-4
+
+# How the default is called.
+_TWO_KEPT = f"dcdm, kept {next(name for name, kept in KEPT.items() if kept == 2)}"
 
 Curves = Mapping[str, list[list[float]]]
 
@@ -28,14 +32,17 @@ def findings(results: Results) -> Findings:
         "iterations until the residual is 1e-4 and 1e-6 of the right-hand side, mean of the steps. Heat: one step of "
         "backward Euler, a hot ball in a box whose walls are at zero. Networks: trained in the plane for "
         f"{STEPS} steps on {results.training}^2 voxels, and tried on {results.tests}^2 with the last of the "
-        "pressures, closed. No solver has a guard here: it may fail."
+        "pressures, closed. Transfer: the source's network, trained so on grids of one size and tried on others. No "
+        "solver has a guard here: it may fail."
     )
-    tables = [_pressures(results), _heat(results), _networks(results)]
+    tables = [_pressures(results), _heat(results), _networks(results), _transfer(results)]
     named = {f"{grid}, {_word(is_open)}:": o for (grid, is_open), o in results.pressures.items()}
     add_reasons(tables[0], named)
     add_reasons(tables[1], {f"{grid}:": o for grid, o in results.heat.items()})
     add_reasons(tables[2], {f"{name}:": o for name, o in results.networks.items()})
-    everything = named | {f"{grid}, heat:": o for grid, o in results.heat.items()} | results.networks
+    sizes = {f"trained on {size}^2:": o for size, o in results.transfer.items()}
+    add_reasons(tables[3], sizes)
+    everything = named | {f"{grid}, heat:": o for grid, o in results.heat.items()} | results.networks | sizes
     failures = [f"{name} {o.reason}" for name, o in everything.items() if o.status == "failed"]
     tables = [table for table in tables if table.rows or table.notes]
     return Findings(summary, tables, _data(results), failures, partial(_plots, results))
@@ -71,10 +78,19 @@ def _counts(curves: list[list[float]]) -> str | Cell:
 def _pressures(results: Results) -> Table:
     done = {key: o.data["curves"] for key, o in results.pressures.items() if o.done}
     names = list(dict.fromkeys(name for curves in done.values() for name in curves))
-    table = Table("Pressures: iterations to 1e-4 / 1e-6", ["", *names])
+    table = Table("Pressures: iterations to 1e-4 / 1e-6", ["", *names, "solves the guard would stop"])
     for (grid, is_open), curves in done.items():
-        table.rows.append([f"{grid}, {_word(is_open)}", *(_counts(curves[n]) if n in curves else "-" for n in names)])
+        counts = [_counts(curves[n]) if n in curves else "-" for n in names]
+        stopped = " / ".join(str(sum(_is_stopped(curve, t) for curve in curves[_TWO_KEPT])) for t in _TOLERANCES)
+        table.rows.append([f"{grid}, {_word(is_open)}", *counts, stopped])
     return table
+
+
+def _is_stopped(curve: list[float], tolerance: float) -> bool:
+    """Whether the guard lets another solver go on before the tolerance is met."""
+    watchdog = Watchdog(DCDM_LIMITS, 1.0, tolerance, tolerance)
+    last = iterations(curve, tolerance)
+    return any(watchdog(k, norm) for k, norm in enumerate(curve[1:last], start=1))
 
 
 def _heat(results: Results) -> Table:
@@ -97,6 +113,19 @@ def _networks(results: Results) -> Table:
         if o.done:
             facts = [f"{o.data['n_parameters']:,}", f"{o.data['seconds']:.0f}", f"{o.data['loss']:.3f}"]
             table.rows.append([name, *facts, *(_counts(o.data["curves"][kept]) for kept in KEPT)])
+    return table
+
+
+def _transfer(results: Results) -> Table:
+    done = {size: o.data for size, o in results.transfer.items() if o.done}
+    tests = list(dict.fromkeys(cells for data in done.values() for cells in data["curves"]))
+    table = Table(
+        "Transfer: iterations to 1e-4 / 1e-6 by the grid, two directions kept",
+        ["trained on", "training, s", "loss", *(f"{cells}^2" for cells in tests)],
+    )
+    for size, data in done.items():
+        facts = [f"{size}^2", f"{data['seconds']:.0f}", f"{data['loss']:.3f}"]
+        table.rows.append([*facts, *(_counts(data["curves"][cells]) for cells in tests)])
     return table
 
 
@@ -135,9 +164,8 @@ def _plots(results: Results) -> dict[str, bytes]:
             where = f"blob, {_word(is_open)}, {grid.cells}$^{grid.dim}$ voxels, mean and deviation of {{}} steps"
             name = f"{grid.cells}-{grid.dim}d-{_word(is_open)}"
             kept = {key: each for key, each in o.data["curves"].items() if key.startswith("dcdm")}
-            two = f"dcdm, kept {next(n for n, k in KEPT.items() if k == 2)}"
-            solvers = {key: each for key, each in o.data["curves"].items() if key not in kept or key == two}
-            title = where.format(len(kept[two]))
+            solvers = {key: each for key, each in o.data["curves"].items() if key not in kept or key == _TWO_KEPT}
+            title = where.format(len(kept[_TWO_KEPT]))
             found[f"dcdm-solvers-{name}.png"] = draw(solvers, title)
             found[f"dcdm-kept-{name}.png"] = draw(kept, title)
     trained = {name: o.data["curves"] for name, o in results.networks.items() if o.done}
@@ -145,6 +173,11 @@ def _plots(results: Results) -> dict[str, bytes]:
         title = f"blob, {results.tests}$^2$ voxels; two directions kept, dashed: all"
         two_kept, all_kept = ({n: each[k] for n, each in trained.items()} for k in ("2", "all"))
         found["dcdm-networks.png"] = draw(two_kept, title, all_kept)
+    sizes = {size: o.data["curves"] for size, o in results.transfer.items() if o.done}
+    if sizes:
+        cells = list(next(iter(sizes.values())))[-1]
+        curves = {f"trained on {size}$^2$ voxels": each[cells] for size, each in sizes.items()}
+        found["dcdm-transfer.png"] = draw(curves, f"blob, {cells}$^2$ voxels, two directions kept")
     for grid, o in results.heat.items():
         if o.done:
             curves = {
@@ -168,4 +201,5 @@ def _data(results: Results) -> dict[str, Any]:
         "pressures": [{**g._asdict(), "open": is_open, **o.as_data()} for (g, is_open), o in results.pressures.items()],
         "heat": [{**grid._asdict(), **o.as_data()} for grid, o in results.heat.items()],
         "networks": [{"network": name, **o.as_data()} for name, o in results.networks.items()],
+        "transfer": [{"trained_on": size, **o.as_data()} for size, o in results.transfer.items()],
     }

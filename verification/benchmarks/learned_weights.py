@@ -49,11 +49,11 @@ def missing_weights(method: str, dim: int) -> str:
     return ""
 
 
-def learned_solver(method: str, system: PressureSystem) -> PoissonSolver:
-    """A learned solver by itself, without the guard that would let another one finish."""
+def learned_solver(method: str, system: PressureSystem, sweeps: int = 1) -> PoissonSolver:
+    """A learned solver by itself, without the guard that would let another one finish; `sweeps` are of cycles."""
     weights = bench_weights(method, system.dim)
     if method == "spd_lmg":
-        return ConjugateGradients(system, LearnedMultigrid(system, weights.parameters), method)
+        return ConjugateGradients(system, LearnedMultigrid(system, weights.parameters, sweeps), method)
     return dcdm_solver(system, weights)
 
 

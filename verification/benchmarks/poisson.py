@@ -48,6 +48,7 @@ _VECTORS = {
     "petsc icc": 60.0,
     "dcdm": 120.0,
     "spd_lmg": 80.0,
+    "spd_lmg v(2,2)": 80.0,
 }
 _VECTORS_OF_OTHERS = 40.0
 
@@ -128,10 +129,10 @@ def _absent(grid: Grid, solver: str) -> str:
     """Why a solver cannot be run; an empty text if it can."""
     if solver.startswith("petsc") and not has_petsc():
         return "petsc4py is not installed"
-    if solver in ("dcdm", "spd_lmg"):
+    if solver.startswith(("dcdm", "spd_lmg")):
         from verification.benchmarks.learned_weights import missing_weights
 
-        return missing_weights(solver, grid.dim) or _too_large(grid, solver)
+        return missing_weights(solver.split()[0], grid.dim) or _too_large(grid, solver)
     return _too_large(grid, solver)
 
 

@@ -33,6 +33,7 @@ SOLVERS: dict[str, Callable[[PressureSystem], PoissonSolver]] = {
     "mg v(1,1)": lambda system: ConjugateGradients(system, Multigrid(system, 1)),
     "mg v(2,2)": lambda system: ConjugateGradients(system, Multigrid(system, 2)),
     "spd_lmg": lambda system: learned_solver("spd_lmg", system),
+    "spd_lmg v(2,2)": lambda system: learned_solver("spd_lmg", system, 2),
     "dcdm": lambda system: learned_solver("dcdm", system),
     "petsc icc": lambda system: PETScPressure(system, "icc"),
     "petsc gamg": lambda system: PETScPressure(system, "gamg"),

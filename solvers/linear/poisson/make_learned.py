@@ -17,7 +17,7 @@ def make_learned_solver(
 ) -> tuple[WatchedSolver, Limits]:
     """The solver, and when it is to be stopped."""
     if isinstance(options, schema.SPDLMGPressureSolver):
-        cycle = LearnedMultigrid(system, weights.parameters)
+        cycle = LearnedMultigrid(system, weights.parameters, options.sweeps)
         return ConjugateGradients(system, cycle, options.method), LMG_LIMITS
     architecture = Architecture(system.dim, **weights.meta["architecture"])
     kept = None if options.kept == "all" else options.kept

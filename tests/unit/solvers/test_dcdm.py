@@ -220,6 +220,14 @@ def test_the_watchdog() -> None:
     assert dog(5, 0.3**4 * 0.9) == ""
     assert dog(6, 0.3**4 * 0.8) != ""  # (0.3 * 0.8)^(1/3) = 0.62
     assert dog(7, 1e-5) == ""
+    # A residual that stays for four iterations and then falls: too slow over three of them, and not over eight.
+    norms = [0.5, 0.4, 0.45, 0.42, 0.4, 0.2, 0.1, 0.05, 0.02]
+    told = {}
+    for window in (3, 8):
+        dog = Watchdog(Limits(0.8, 30, window), 1.0, 1e-4, 1e-4)
+        told[window] = [dog(k, norm) for k, norm in enumerate(norms, start=1)]
+    assert any(told[3])
+    assert not any(told[8])
     # More digits, more iterations.
     assert Watchdog(Limits(2.0, 12), 1.0, 1e-8, 1e-8)(23, 0.1) == ""
     assert "24 iterations" in Watchdog(Limits(2.0, 12), 1.0, 1e-8, 1e-8)(24, 0.1)

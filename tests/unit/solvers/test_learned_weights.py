@@ -18,6 +18,7 @@ from solvers.linear.poisson.dcdm_network import Architecture, glorot_parameters
 from solvers.linear.poisson.make import PressureSolverMaker
 from solvers.linear.poisson.multigrid import Multigrid
 from solvers.linear.poisson.trained_range import TrainedRange
+from solvers.linear.poisson.training.domains import plate_labels, porous_labels
 from solvers.linear.poisson.weights_file import Weights, load_weights, save_weights, shipped_weights
 
 
@@ -114,6 +115,21 @@ def test_the_shipped_cycle_is_no_worse_than_one_sweep_of_multigrid(dim: int, n: 
     assert ours.iterations <= classical.iterations
 
 
+@pytest.mark.parametrize("sweeps", [1, 2])
+@pytest.mark.parametrize(("dim", "n"), [(2, 64), (3, 32)])
+def test_the_shipped_cycle_saves_iterations_on_hard_domains(dim: int, n: int, sweeps: int) -> None:
+    """Random solids and plates, against multigrid with as many sweeps."""
+    shape = (n,) * dim
+    for labels in (porous_labels(shape, 0.4 if dim == 2 else 0.5), plate_labels(shape)):
+        system = PressureSystem(labels)
+        b = right_side(system)
+        options = SPDLMGPressureSolver(method="spd_lmg", fallback="none", sweeps=sweeps)
+        ours = PressureSolverMaker(options, Path())(system).solve(b, 1e-4, 200)
+        classical = ConjugateGradients(system, Multigrid(system, sweeps)).solve(b, 1e-4, 200)
+        assert ours.converged
+        assert ours.iterations < classical.iterations
+
+
 @pytest.mark.parametrize("is_open", [False, True])
 @pytest.mark.parametrize(("dim", "n", "most"), [(2, 64, 20), (3, 16, 12), (3, 32, 14)])
 def test_the_shipped_network_finds_the_answer_alone(dim: int, n: int, most: int, is_open: bool) -> None:
@@ -129,7 +145,10 @@ def test_the_shipped_network_finds_the_answer_alone(dim: int, n: int, most: int,
     assert system.norm(b - r) <= 1.01e-4 * system.norm(b)
 
 
-@pytest.mark.parametrize(("dim", "n", "is_open"), [(2, 64, False), (3, 16, False), (3, 16, True), (3, 32, False)])
+@pytest.mark.parametrize(
+    ("dim", "n", "is_open"),
+    [(2, 64, False), (2, 64, True), (3, 16, False), (3, 16, True), (3, 32, False), (3, 32, True)],
+)
 def test_the_guard_lets_the_shipped_network_work(dim: int, n: int, is_open: bool) -> None:
     system = domain(n, dim, is_open)
     make = PressureSolverMaker(DCDMPressureSolver(method="dcdm"), Path())

@@ -83,13 +83,14 @@ def test_failures_are_said() -> None:
         "8^2, open",
         "1 of 2 not in 2 / 1 of 2 not in 2",
         "1 / 2",
+        "0 / 0",
     ]
 
 
 def test_the_whole_benchmark_of_dcdm(tmp_path: Path, weights: None, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
     monkeypatch.setenv(environment.CELLS_VARIABLE, "8")
-    monkeypatch.setenv(environment.ONLY_VARIABLE, "8^2; 8^3: heat; training: 8 channels; trained as")
+    monkeypatch.setenv(environment.ONLY_VARIABLE, "8^2; 8^3: heat; training: 8 channels; trained as; transfer")
     monkeypatch.setattr(dcdm, "STEPS", 2)
     monkeypatch.setattr(learned_weights, "missing_weights", lambda _, dim: "" if dim == 2 else "there are none")
     out = tmp_path / "out"
@@ -103,7 +104,15 @@ def test_the_whole_benchmark_of_dcdm(tmp_path: Path, weights: None, monkeypatch:
     assert [row["network"] for row in data["networks"]] == ["the same, trained as the source's", "8 channels"]
     assert all(row["status"] == "done" for row in data["networks"])
     assert data["networks"][0]["n_parameters"] == 32_657
+    # Weights of either size on three grids; the picture is of the largest.
+    assert [(row["trained_on"], list(row["curves"])) for row in data["transfer"]] == [
+        (8, ["8", "16", "32"]),
+        (16, ["8", "16", "32"]),
+    ]
+    # Two steps leave the weights of the start the best ones, the same for both; what they were trained on differs.
+    assert data["transfer"][0]["loss"] != data["transfer"][1]["loss"]
+    assert all(curve[0][0] == 1.0 for row in data["transfer"] for curve in row["curves"].values())
     pictures = {path.name for path in out.glob("*.png")}
     names = [f"dcdm-{kind}-8-2d-{word}.png" for kind in ("solvers", "kept") for word in ("open", "closed")]
-    assert pictures == {*names, "dcdm-networks.png", "dcdm-heat-8-2d.png"}
+    assert pictures == {*names, "dcdm-networks.png", "dcdm-transfer.png", "dcdm-heat-8-2d.png"}
     assert "8^3: skipped: there are none" in (out / "bench.md").read_text()

@@ -161,6 +161,7 @@ def test_the_whole_benchmark_of_poisson(tmp_path: Path, monkeypatch: pytest.Monk
         (2, "plume, closed", "cg", "done"),
         (2, "spinning box, open", "mic(0)", "done"),
         (2, "plates", "spd_lmg", "done"),
+        (2, "plates", "spd_lmg v(2,2)", "done"),
         (3, "plume, closed", "cg", "done"),
         (3, "spinning box, open", "mic(0)", "done"),
         (3, "plates", "mg v(1,1)", "done"),

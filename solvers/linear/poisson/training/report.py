@@ -188,6 +188,7 @@ def _start(path: Path | None) -> str:
 
 def _draw(progress: Progress, path: Path) -> None:
     from matplotlib.figure import Figure
+    from matplotlib.ticker import ScalarFormatter
 
     figure = Figure(figsize=(7.0, 3.0), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -202,4 +203,6 @@ def _draw(progress: Progress, path: Path) -> None:
     steps, iterations = np.array(progress.validations).T
     right.plot(steps, np.minimum(iterations, MOST_ITERATIONS), "o-", color="C1", markersize=3)
     right.set(xlabel="step", ylabel=f"iterations, validation, {MOST_ITERATIONS} at most", yscale="log")
+    for axis in (right.yaxis.set_major_formatter, right.yaxis.set_minor_formatter):
+        axis(ScalarFormatter())  # 12, and not 1.2 x 10^1
     figure.savefig(path, dpi=120)
