@@ -8,8 +8,8 @@ from femdeform.contact.closest import closest_points
 from femdeform.contact.inside import InsideTest
 from femdeform.types import BoolArray, FloatArray, IntArray
 
-# Halvings of the interval that holds the parameter of the closest point: to rounding, however small it is.
-_HALVINGS = 100
+# Steps for the parameter of the closest point, of which it takes a few, and how little it then changes by: rounding.
+_STEPS, _NEAR = 100, 1e-15
 # Coordinates smaller than this part of their semi-axis are taken as this: at zero the closest point is not unique.
 _OFF_AXIS = 1e-13
 # Closer than this part of its size, the normal at a surface is that of its facet.
@@ -48,12 +48,8 @@ class Ellipsoid:
         y = np.maximum(np.abs(offset), _OFF_AXIS * a)
         least = int(np.argmin(a))
         more = (a - a[least]) * (a + a[least])
-        low, high = a[least] * y[:, least], np.linalg.norm(a * y, axis=1)
-        for _ in range(_HALVINGS):
-            s = 0.5 * (low + high)
-            beyond = np.sum((a * y / (s[:, None] + more)) ** 2, axis=1) > 1.0
-            low, high = np.where(beyond, s, low), np.where(beyond, high, s)
-        closest = a * a * y / (0.5 * (low + high)[:, None] + more)
+        s = _root(a * y, more)
+        closest = a * a * y / (s[:, None] + more)
         normal = closest / (a * a)
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         distance = np.einsum("pc,pc->p", y - closest, normal)
@@ -62,6 +58,32 @@ class Ellipsoid:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest coordinates [m]."""
         return self.center - self.semi_axes, self.center + self.semi_axes
+
+
+def _root(b: FloatArray, more: FloatArray) -> FloatArray:
+    """Roots s > 0 (n,) of ``sum_c (b_c / (s + more_c))^2 = 1``; b (n, dim) > 0, the least of ``more`` (dim,) is zero.
+
+    Newton's method on ``1/|b/(s + more)| = 1``, whose left side is all but a straight line, kept between bounds: where
+    a step leaves them, their middle is taken. Each root is found by itself, whatever the others.
+    """
+    low = (b - more).max(axis=1)
+    high = np.linalg.norm(b, axis=1)
+    s = low.copy()
+    left = np.arange(len(b))
+    for _ in range(_STEPS):
+        now, mine = s[left], b[left]
+        terms = (mine / (now[:, None] + more)) ** 2
+        length2 = terms.sum(axis=1)
+        length = np.sqrt(length2)
+        low[left] = np.where(length >= 1.0, now, low[left])
+        high[left] = np.where(length <= 1.0, now, high[left])
+        new = now + length2 * (length - 1.0) / (terms / (now[:, None] + more)).sum(axis=1)
+        new = np.where((new >= low[left]) & (new <= high[left]), new, 0.5 * (low[left] + high[left]))
+        s[left] = new
+        left = left[np.abs(new - now) > _NEAR * new]
+        if not left.size:
+            break
+    return s
 
 
 class ClosedSurface:
