@@ -66,9 +66,8 @@ def _root(b: FloatArray, more: FloatArray) -> FloatArray:
     Newton's method on ``1/|b/(s + more)| = 1``, whose left side is all but a straight line, kept between bounds: where
     a step leaves them, their middle is taken. Each root is found by itself, whatever the others.
     """
-    low = (b - more).max(axis=1)
-    high = np.linalg.norm(b, axis=1)
-    s = low.copy()
+    low: FloatArray = (b - more).max(axis=1)
+    high, s = np.linalg.norm(b, axis=1), low.copy()
     left = np.arange(len(b))
     for _ in range(_STEPS):
         now, mine = s[left], b[left]

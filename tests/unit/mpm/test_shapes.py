@@ -45,6 +45,23 @@ def test_the_closest_point_of_an_ellipsoid(dim: int) -> None:
     assert np.all(np.abs(distance) <= nearest + 1e-9)
 
 
+@pytest.mark.parametrize("axes", [[1.0, 1.0, 1.0], [2.0, 1e-3, 1.0], [0.3, 0.1], [1e-3, 1.0]])
+def test_flat_ellipsoids_and_points_near_their_middle(axes: list[float]) -> None:
+    """The foot is on the surface and straight below the point to rounding; no point's answer depends on the others."""
+    a, rng = np.array(axes), np.random.default_rng(2)
+    scales = np.repeat([2.0, 0.5, 1e-6], 300)[:, None]
+    x = rng.uniform(-1.0, 1.0, (900, a.size)) * a * scales
+    distance, normal = Ellipsoid(np.zeros(a.size), a).distance(x)
+    foot = x - distance[:, None] * normal
+    slope = foot / a**2
+    np.testing.assert_allclose(np.sum((foot / a) ** 2, axis=1), 1.0, atol=1e-10)
+    np.testing.assert_allclose(normal, slope / np.linalg.norm(slope, axis=1)[:, None], atol=1e-8)
+    for k in (0, 400, 800):
+        alone = Ellipsoid(np.zeros(a.size), a).distance(x[k : k + 1])
+        assert alone[0][0] == distance[k]
+        np.testing.assert_array_equal(alone[1][0], normal[k])
+
+
 def surface(dim: int) -> tuple[Array, NDArray[np.int64]]:
     """The surface of the box [0, 1] x [0, 2] (x [0, 3])."""
     corners = np.array(list(np.ndindex(*([2] * dim))), dtype=float) * np.array([1.0, 2.0, 3.0])[:dim]
