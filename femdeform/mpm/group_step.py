@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,9 +16,10 @@ from femdeform.mpm.explicit_laws import Laws, Liquid, is_viscous, material_sets
 from femdeform.mpm.grid import Grid
 from femdeform.mpm.groups import Groups
 from femdeform.mpm.particles import Particles
+from femdeform.mpm.point_terms import PointMaterials
 from femdeform.mpm.rigid_walls import RigidWall, constrain
 from femdeform.mpm.surface_samples import SurfaceSamples
-from femdeform.types import FloatArray
+from femdeform.types import FloatArray, IntArray
 
 GroupTransfer = Literal["pic", "flip", "apic", "group_apic"]
 Motion = Literal["field", "group"]
@@ -63,6 +64,7 @@ def explicit_step(
     flip: float = 0.95,
     massless: bool = False,
     motion: Motion = "group",
+    materials: PointMaterials | None = None,
 ) -> GroupStep:
     """Advance points by one symplectic Euler step.
 
@@ -95,14 +97,17 @@ def explicit_step(
         Samples without mass, for comparison, see `mpm.groups`.
     motion : str
         See `advance`.
+    materials : PointMaterials, optional
+        Constants of each point, in place of those of the laws.
     """
     if groups is None:
         groups = Groups.split(particles.x, particles.mass, samples, grid, massless)
     is_affine = transfer in ("apic", "group_apic")
     affine = particles.affine if is_affine else np.zeros_like(particles.affine)
     mass, before = groups.to_grid(particles.v, affine, transfer == "group_apic")
-    rates = groups.gradients(before) if any(map(is_viscous, laws.values())) else None
-    force = groups.forces(stresses(particles, laws, rates))
+    viscous = any(map(is_viscous, laws.values())) if materials is None else bool((materials.viscosity > 0.0).any())
+    rates = groups.gradients(before) if viscous else None
+    force = groups.forces(stresses(particles, laws, rates, materials))
     if forces is not None:
         force = force + forces(groups)
     velocity = before + dt * force / mass[:, None]
@@ -170,7 +175,12 @@ def advance(
     return out, n_bounded
 
 
-def stresses(particles: Particles, laws: Laws, gradient: FloatArray | None = None) -> FloatArray:
+def stresses(
+    particles: Particles,
+    laws: Laws,
+    gradient: FloatArray | None = None,
+    materials: PointMaterials | None = None,
+) -> FloatArray:
     """Kirchhoff stress times volume of each point [J]: (n, 6) as xx, yy, zz, yz, xz, xy, in 2D (n, 3) as xx, yy, xy.
 
     Parameters
@@ -179,13 +189,36 @@ def stresses(particles: Particles, laws: Laws, gradient: FloatArray | None = Non
         See `explicit_step`.
     gradient : (n, dim, dim) float64, optional
         Gradients of the velocity [1/s], for viscosity.
+    materials : PointMaterials, optional
+        Constants of each point, in place of those of the laws.
     """
     dim = particles.dim
     out = np.empty((particles.n, dim * (dim + 1) // 2))
     kernel = kernels.stresses_2d if dim == 2 else kernels.stresses_3d
     rates = np.zeros((1, dim, dim)) if gradient is None else gradient
     for rows, law in material_sets(particles, laws):
-        if is_viscous(law) and gradient is None:
+        state = particles.J if isinstance(law, Liquid) else particles.F
+        parts = [] if materials is None else _parts(law, rows, materials, dim)
+        if gradient is None and (any(is_viscous(part) for part, _ in parts) or (is_viscous(law) and not parts)):
             raise ValueError("viscosity needs the gradients of the velocity")
-        kernel(particles.J if isinstance(law, Liquid) else particles.F, particles.volume, rates, law, rows, out)
+        if not parts:
+            kernel(state, particles.volume, rates, law, rows, out)
+            continue
+        total = np.zeros((rows.size, out.shape[1]))
+        for part, constants in parts:
+            kernel(state, particles.volume, rates, part, rows, out)
+            total += constants[:, None] * out[rows]
+        out[rows] = total
     return out
+
+
+def _parts(law: Any, rows: IntArray, materials: PointMaterials, dim: int) -> list[tuple[Any, FloatArray]]:
+    """Laws with one constant of one each, and that constant at the points `rows`: stresses are their sum."""
+    if isinstance(law, Liquid):
+        viscosity = materials.viscosity[rows]
+        friction = [(Liquid(0.0, 1.0), viscosity)] if viscosity.any() else []
+        return [(Liquid(1.0, 0.0), materials.bulk_modulus[rows]), *friction]
+    if materials.moduli is None or not np.isfinite(materials.moduli[rows]).all():
+        return []  # a body whose solid keeps its constants
+    shear, dilation = type(law).from_lame(1.0, 0.0, dim), type(law).from_lame(0.0, 1.0, dim)
+    return [(shear, materials.moduli[rows, 0]), (dilation, materials.moduli[rows, 1])]

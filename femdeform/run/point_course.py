@@ -81,7 +81,7 @@ class PointCourse:
         self.writer = VTPWriter()
         if scene.surface.comparison is not None:
             self.notices.append("surface.comparison: a scheme to compare with, which loses momentum")
-        densities = law_densities(self._step.materials, scene)
+        densities = law_densities(self._step.materials.laws, scene)
         self._lightest = min(density for _, density in densities)
         self._sound_limit = explicit_limit(scene.grid.cell_size, densities) if solver is None else np.inf
         limit = self._wave_limit(self.start.particles)
@@ -90,10 +90,13 @@ class PointCourse:
             self.notices.append(f"{what} may not be longer than {limit:.3g} s at first: dt is halved until it fits")
 
     def _wave_limit(self, particles: Particles) -> float:
-        """What sound and capillary waves allow [s]; the latter bind implicit steps too and follow temperatures."""
-        spacing = self._scene.grid.cell_size
+        """What sound and capillary waves allow [s] at the temperatures; the latter bind implicit steps too."""
+        spacing, materials = self._scene.grid.cell_size, self._step.materials
+        if self._solver is None and materials.varies:
+            densities = law_densities(materials.stiffest(particles), self._scene)
+            self._sound_limit = explicit_limit(spacing, densities)
         # Samples lie as far from their owners as the radius of the level set, less than a cell.
-        strongest = largest_coefficient(particles, self._step.materials.tensions, spacing)
+        strongest = largest_coefficient(particles, materials.tensions, spacing)
         return min(self._sound_limit, capillary_limit(spacing, self._lightest, strongest))
 
     # ------------------------------------------------------------------------------------------------- stepping

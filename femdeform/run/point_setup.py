@@ -149,8 +149,26 @@ class Materials:
     conductivity: list[TemperatureFunction] | None
     melting: list[Melting | None]
 
+    @property
+    def varies(self) -> bool:
+        """Whether moduli, bulk modulus or viscosity of a body follow the temperature."""
+        functions = [*self.bulk_modulus, *self.viscosity]
+        return any(each is not None for each in self.moduli) or not all(isinstance(f, Constant) for f in functions)
+
+    def stiffest(self, particles: Particles) -> Laws:
+        """Laws with the largest constants that points of their bodies have, for the limits of explicit steps."""
+        at, found = self.at(particles), dict(self.laws)
+        for (number, phase), law in self.laws.items():
+            mine = particles.body == number
+            if phase == LIQUID:
+                found[number, phase] = Liquid(at.bulk_modulus[mine].max(), at.viscosity[mine].max())
+            elif at.moduli is not None and self.moduli[number] is not None:
+                mu, lmbda = at.moduli[mine].max(axis=0)
+                found[number, phase] = type(law).from_lame(mu, lmbda, particles.dim)
+        return found
+
     def at(self, particles: Particles) -> PointMaterials:
-        """Constants of an implicit step."""
+        """Constants of all points at their temperatures."""
         solids = {body: law for (body, phase), law in self.laws.items() if phase == SOLID}
         bulk, viscosity = np.zeros(particles.n), np.zeros(particles.n)
         moduli = np.full((particles.n, 2), np.nan) if any(each is not None for each in self.moduli) else None

@@ -11,6 +11,7 @@ import numpy as np
 from femdeform.errors import InputError
 from femdeform.mpm.crowding import uncrowded
 from femdeform.mpm.explicit import ExplicitPoints
+from femdeform.mpm.explicit_laws import Laws
 from femdeform.mpm.grid import Grid
 from femdeform.mpm.group_step import advance, explicit_step
 from femdeform.mpm.groups import Groups
@@ -137,6 +138,7 @@ class PointStep:
         # Without surface and heat explicit steps go through blocks of nodes, which is many times as fast.
         self._is_fast = scene.time.scheme == "explicit" and not (self._samples_surface or self.has_heat)
         self._is_fast = self._is_fast and scene.transfer.scheme != "group_apic" and scene.surface.crowding == 0.0
+        self._is_fast = self._is_fast and not self.materials.varies
         self._engine: ExplicitPoints | None = None
         self._engine_step = -1
 
@@ -245,6 +247,7 @@ class PointStep:
             transfer=scene.transfer.scheme,
             flip=scene.transfer.flip,
             motion=scene.surface.motion,
+            materials=self.materials.at(points) if self.materials.varies else None,
         )
         return done.particles, PointReport(True, "", n_nodes=done.mass.size, n_bounded=done.n_bounded)
 
@@ -355,10 +358,10 @@ class PointStep:
             self._solver.reset()
 
 
-def law_densities(materials: Materials, scene: PointScene) -> list[tuple[Any, float]]:
+def law_densities(laws: Laws, scene: PointScene) -> list[tuple[Any, float]]:
     """Laws with the densities of their phases, for `femdeform.mpm.time_step.explicit_limit`."""
     found = []
-    for (number, _), law in materials.laws.items():
+    for (number, _), law in laws.items():
         body = list(scene.bodies.values())[number]
         found.append((law, body.density))
     return found

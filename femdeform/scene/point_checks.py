@@ -115,15 +115,6 @@ def _heat_findings(scene: PointScene) -> Iterator[Finding]:
 def _scheme_findings(scene: PointScene) -> Iterator[Finding]:
     for name, body in scene.bodies.items():
         liquid = body.liquid
-        if scene.time.scheme == "explicit" and body.moduli is not None:
-            yield Finding(
-                ("bodies", name, "moduli"), "follow the temperature in implicit steps only; use backward_euler"
-            )
-        if scene.time.scheme == "explicit" and liquid is not None:
-            for key in ("bulk_modulus", "viscosity"):
-                if not isinstance(getattr(liquid, key), float):
-                    message = "follows the temperature in implicit steps only; give a number, or backward_euler"
-                    yield Finding(("bodies", name, "liquid", key), message)
         if body.surface_tension is not None and liquid is None and not body.surface_tension.on_solid:
             yield Finding(("bodies", name, "surface_tension"), "acts on liquid only; give `liquid`, or on_solid: true")
     if scene.time.scheme == "explicit" and scene.surface.symmetric:
