@@ -282,9 +282,7 @@ class PointBody(SceneModel):
         default=None, description="phase at the start; default that of the only material given"
     )
     solid: Material | None = Field(default=None, description="law of the solid phase")
-    moduli: SolidModuli | None = Field(
-        default=None, description="constants of `solid` that follow the temperature, in implicit steps"
-    )
+    moduli: SolidModuli | None = Field(default=None, description="constants of `solid` that follow the temperature")
     liquid: LiquidMaterial | None = Field(
         default=None, description="the liquid phase; what melts or freezes keeps its mass and its volume at rest"
     )
