@@ -20,7 +20,7 @@ import numpy as np
 
 from femdeform.mpm.explicit_laws import HIGHEST_J, LOWEST_J
 from femdeform.mpm.grid import Stencils
-from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.mpm.particles import LIQUID, Particles, current_volumes
 from femdeform.types import FloatArray
 
 # Of random points at their density of rest, theta(x_p) is up to this [-]; a drop at rest would swell were it one.
@@ -37,8 +37,7 @@ def filling(particles: Particles, stencils: Stencils) -> FloatArray:
     stencils : Stencils
         Of these points where they are.
     """
-    ratio = np.where(particles.phase == LIQUID, particles.J, np.linalg.det(particles.F))
-    claimed = stencils.to_nodes((ratio * particles.volume)[:, None])
+    claimed = stencils.to_nodes(current_volumes(particles)[:, None])
     claimed /= stencils.spacing**particles.dim
     return stencils.to_points(claimed)[:, 0]
 

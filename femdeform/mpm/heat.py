@@ -29,7 +29,7 @@ from femdeform.mpm import heat_kernels as kernels
 from femdeform.mpm.grid import Grid, Stencils
 from femdeform.mpm.heat_matrix import ConductionMatrix
 from femdeform.mpm.heat_walls import TemperedWall, hold_temperatures
-from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.mpm.particles import Particles, current_volumes
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.types import FloatArray, IntArray
 
@@ -107,12 +107,6 @@ def evaluate(field: Field, points: FloatArray, time: float, name: str) -> FloatA
     if not np.isfinite(values).all():
         raise ValueError(f"{name}: a value is not finite")
     return values
-
-
-def current_volumes(particles: Particles) -> FloatArray:
-    """Volumes (n,) [m^3] of material points: J V0 of liquids, det F V0 of solids."""
-    stretch = np.where(particles.phase == LIQUID, particles.J, np.linalg.det(particles.F))
-    return np.asarray(stretch * particles.volume)
 
 
 def _sums(numbers: IntArray, values: FloatArray, n: int) -> FloatArray:

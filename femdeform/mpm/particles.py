@@ -91,3 +91,9 @@ class Particles:
         """Points of several sets after one another."""
         names = [each.name for each in fields(Particles)]
         return Particles(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def current_volumes(particles: Particles) -> FloatArray:
+    """Volumes (n,) [m^3] of material points: J V0 of liquids, det F V0 of solids."""
+    stretch = np.where(particles.phase == LIQUID, particles.J, np.linalg.det(particles.F))
+    return np.asarray(stretch * particles.volume)

@@ -81,9 +81,7 @@ class PointCourse:
         self.writer = VTPWriter()
         if scene.surface.comparison is not None:
             self.notices.append("surface.comparison: a scheme to compare with, which loses momentum")
-        densities = law_densities(self._step.materials.laws, scene)
-        self._lightest = min(density for _, density in densities)
-        self._sound_limit = explicit_limit(scene.grid.cell_size, densities) if solver is None else np.inf
+        self._lightest = min(density for _, density in law_densities(self._step.materials.laws, scene))
         limit = self._wave_limit(self.start.particles)
         if limit < scene.time.dt:
             what = "explicit steps" if solver is None else "steps with surface tension"
@@ -92,12 +90,12 @@ class PointCourse:
     def _wave_limit(self, particles: Particles) -> float:
         """What sound and capillary waves allow [s] at the temperatures; the latter bind implicit steps too."""
         spacing, materials = self._scene.grid.cell_size, self._step.materials
-        if self._solver is None and materials.varies:
-            densities = law_densities(materials.stiffest(particles), self._scene)
-            self._sound_limit = explicit_limit(spacing, densities)
+        sound = np.inf
+        if self._solver is None:
+            sound = explicit_limit(spacing, law_densities(materials.stiffest(particles), self._scene))
         # Samples lie as far from their owners as the radius of the level set, less than a cell.
         strongest = largest_coefficient(particles, materials.tensions, spacing)
-        return min(self._sound_limit, capillary_limit(spacing, self._lightest, strongest))
+        return min(sound, capillary_limit(spacing, self._lightest, strongest))
 
     # ------------------------------------------------------------------------------------------------- stepping
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from femdeform.mpm.heat import current_volumes
 from femdeform.mpm.level_set import visible_volume
-from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.mpm.particles import LIQUID, Particles, current_volumes
 from femdeform.mpm.surface_sampling import SurfaceSampler
 from femdeform.mpm.transfers import spin
 from femdeform.run.components import component_of

@@ -157,6 +157,8 @@ class Materials:
 
     def stiffest(self, particles: Particles) -> Laws:
         """Laws with the largest constants that points of their bodies have, for the limits of explicit steps."""
+        if not self.varies:
+            return self.laws
         at, found = self.at(particles), dict(self.laws)
         for (number, phase), law in self.laws.items():
             mine = particles.body == number

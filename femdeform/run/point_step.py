@@ -12,7 +12,7 @@ from femdeform.errors import InputError
 from femdeform.mpm.crowding import uncrowded
 from femdeform.mpm.explicit import ExplicitPoints
 from femdeform.mpm.explicit_laws import Laws
-from femdeform.mpm.grid import Grid
+from femdeform.mpm.grid import Grid, Stencils
 from femdeform.mpm.group_step import advance, explicit_step
 from femdeform.mpm.groups import Groups
 from femdeform.mpm.heat import HeatConduction, HeatReport
@@ -136,9 +136,10 @@ class PointStep:
         if exchanges:
             self._area_scales = area_scales(scene, meshes, make_points(scene, meshes) if start is None else start)
         # Without surface and heat explicit steps go through blocks of nodes, which is many times as fast.
-        self._is_fast = scene.time.scheme == "explicit" and not (self._samples_surface or self.has_heat)
-        self._is_fast = self._is_fast and scene.transfer.scheme != "group_apic" and scene.surface.crowding == 0.0
-        self._is_fast = self._is_fast and not self.materials.varies
+        needs_stencils = self._samples_surface or self.has_heat or self.materials.varies or surface.crowding > 0.0
+        needs_stencils = needs_stencils or scene.transfer.scheme == "group_apic"
+        self._is_fast = scene.time.scheme == "explicit" and not needs_stencils
+        self._owners_exchange = self.has_heat and heat.quadrature == "owner"
         self._engine: ExplicitPoints | None = None
         self._engine_step = -1
 
@@ -162,11 +163,12 @@ class PointStep:
         samples = None if tense is None else tense.samples
         groups = Groups.split(points.x, points.mass, samples, self._grid, self._massless)
         crowding = self.scene.surface.crowding
-        if crowding > 0.0:
-            points.J = uncrowded(points, groups.stencils.of_first(points.n), crowding)
+        own = groups.stencils.of_first(points.n) if crowding > 0.0 or self._owners_exchange else None
+        if own is not None and crowding > 0.0:
+            points.J = uncrowded(points, own, crowding)
         heat = None
         if self.has_heat:
-            heat = self._conduct(points, surface, groups, time, dt)
+            heat = self._conduct(points, surface, own if self._owners_exchange else None, time, dt)
             if not heat.converged:
                 return particles, PointReport(False, "the conduction of heat did not converge", heat=heat)
         if self.scene.time.scheme == "explicit":
@@ -195,9 +197,9 @@ class PointStep:
         return _Surface(samples, k)
 
     def _conduct(
-        self, points: Particles, surface: _Surface | None, groups: Groups, time: float, dt: float
+        self, points: Particles, surface: _Surface | None, stencils: Stencils | None, time: float, dt: float
     ) -> HeatReport:
-        """Move temperatures on, latent heat included."""
+        """Move temperatures on, latent heat included; `stencils` are those of the points where they are at hand."""
         materials = self.materials
         assert materials.capacity is not None
         before = points.temperature.copy()
@@ -218,7 +220,7 @@ class PointStep:
             boundary,
             self._sources[points.body],
             1.0 if samples is None else self._area_scales[points.body[samples.owner]],
-            groups.stencils.of_first(points.n) if self.scene.heat.quadrature == "owner" else None,
+            stencils,
             self._tempered,
         )
         if report.converged:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from femdeform.jit import set_threads
 from femdeform.mpm.grid import Grid
-from femdeform.mpm.heat import QUADRATURES, HeatBoundary, HeatConduction, current_volumes
-from femdeform.mpm.particles import LIQUID, Particles
+from femdeform.mpm.heat import QUADRATURES, HeatBoundary, HeatConduction
+from femdeform.mpm.particles import LIQUID, Particles, current_volumes
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
 
