@@ -307,6 +307,13 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="P",
         help="part of the domains with solids that are porous or have plates (default: 0.1 for dcdm, 0.3 for spd_lmg)",
     )
+    train.add_argument(
+        "--validations",
+        type=_positive,
+        default=8,
+        metavar="N",
+        help="how often the run is validated and can be gone on from (default: 8)",
+    )
     train.add_argument("--resume", action="store_true", help="go on from the folder's checkpoint")
     train.add_argument("--quiet", action="store_true", help="no progress")
 
@@ -623,6 +630,7 @@ def _train(arguments: argparse.Namespace) -> int:
         "start",
         "precision",
         "hard",
+        "validations",
     )
     out = arguments.out or Path("results") / f"train-{kind}-{dim}d"
     registry.resolve(registry.TRAIN["threads"])(arguments.threads)

@@ -125,9 +125,9 @@ def test_training_learns_and_can_be_resumed(
 ) -> None:
     from solvers.linear.poisson.training import loop
 
-    monkeypatch.setattr(loop, "_VALIDATIONS", 4)
     monkeypatch.setattr(loop, "MOST_ITERATIONS", 12)
-    common = ["train", *kind.split(), "--cells", "16", "--steps", "40", "--batch", "4", "--quiet", "--name", "made"]
+    options = "--cells 16 --steps 40 --batch 4 --validations 4 --quiet --name made"
+    common = ["train", *kind.split(), *options.split()]
     assert main([*common, "--out", str(tmp_path / "whole")]) == 0
     out = capsys.readouterr().out
     for name in ("made.npz", "made.md", "made-loss.png"):

@@ -23,8 +23,6 @@ from solvers.linear.poisson.training.settings import TrainingSettings
 
 CHECKPOINT = "checkpoint.pt"
 TOLERANCE = 1e-4
-# Validations and checkpoints in a run.
-_VALIDATIONS = 8
 MOST_ITERATIONS = 80
 _CLIP = 1.0
 _WARM_UP = 0.02
@@ -128,7 +126,7 @@ def run_training(
     if resume:
         progress = _restore(settings, learner, optimizer, schedule)
     systems = validation_systems(settings)
-    every = max(1, settings.steps // _VALIDATIONS)
+    every = max(1, settings.steps // settings.validations)
     if not progress.validations:
         progress.start = arrays(learner)
         _validate(learner, systems, progress)

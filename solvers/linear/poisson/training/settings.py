@@ -46,6 +46,8 @@ class TrainingSettings:
         DCDM only: of the network while it is trained, ``float32`` or ``bfloat16``. Parameters stay in the former.
     hard : float or None
         Part of the domains with solids that are porous or have thin plates; None for a tenth (DCDM) or three tenths.
+    validations : int
+        After as many equal parts of the steps, each with a checkpoint; there is one at the start too.
     """
 
     kind: Kind
@@ -65,6 +67,7 @@ class TrainingSettings:
     start: Path | None = None
     precision: Literal["float32", "bfloat16"] = "float32"
     hard: float | None = None
+    validations: int = 8
 
     @property
     def shape(self) -> tuple[int, ...]:
