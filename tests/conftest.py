@@ -35,6 +35,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("gallery") and not whole_scenes:
             item.add_marker(pytest.mark.skip(reason="a scene of minutes; set FEMDEFORM_GALLERY=1, or `make gallery`"))
+        elif item.get_closest_marker("gallery"):
+            item.add_marker(pytest.mark.timeout(PATIENCE))
         if item.get_closest_marker("petsc") and not has_petsc:
             item.add_marker(pytest.mark.skip(reason="petsc4py is not installed"))
         if item.get_closest_marker("mpi") and not (has_petsc and has_mpi):

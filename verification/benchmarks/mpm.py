@@ -1,4 +1,4 @@
-"""The material point benchmark: points a second in explicit steps, how that grows, and a Taichi kernel beside."""
+"""The material point benchmark: points a second, their growth, parts of steps, linear iterations, and Taichi."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from femdeform import jit
 from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome
-from verification.benchmarks.environment import chosen_cells, is_wanted, thread_counts
+from verification.benchmarks.environment import chosen_cells, has_petsc, is_wanted, thread_counts
 from verification.benchmarks.tables import Findings, threads_text
 
 # The main case: points, and grid nodes along an edge.
@@ -27,7 +27,16 @@ OTHERS = (
     ("neo_hookean", "flip"),
 )
 
+# Scenes of scenes/mpm whose steps are taken apart, and how many of them; only without FEMDEFORM_BENCH_CELLS.
+SCENES = {"impact": 40, "rebound": 40, "soap-3d": 40, "wine-glass-3d": 40, "candle-3d": 20, "drop-on-jelly": 5}
+# Courant numbers of sound, and cells along a unit length by dimension.
+COURANT = (0.5, 2.0, 10.0, 50.0, 200.0)
+COURANT_CELLS = {2: 48, 3: 24}
+PRECONDITIONERS = ("newton-pbjacobi", "newton-icc-scaled", "newton-icc", "newton-ssor", "newton-gamg", "newton-hypre")
+METHODS = ("block_cg", *PRECONDITIONERS, "newton-mumps")
+
 _CASE = "verification.benchmarks.mpm_case"
+_STEP_CASE = "verification.benchmarks.mpm_step_case"
 
 
 @dataclass
@@ -46,6 +55,10 @@ class Results:
         By law and transfer.
     sampled : dict
         By number of threads.
+    scenes : dict
+        By name.
+    courant : dict
+        By dimension and linear solver.
     peers : dict
         By type of numbers.
     """
@@ -56,6 +69,8 @@ class Results:
     growth: dict[tuple[int, str], Outcome] = field(default_factory=dict)
     others: dict[tuple[str, str], Outcome] = field(default_factory=dict)
     sampled: dict[int, Outcome] = field(default_factory=dict)
+    scenes: dict[str, Outcome] = field(default_factory=dict)
+    courant: dict[tuple[int, str], Outcome] = field(default_factory=dict)
     peers: dict[str, Outcome] = field(default_factory=dict)
 
     def own_cases(self) -> dict[str, Outcome]:
@@ -63,11 +78,13 @@ class Results:
         cases = {f"steps, {dtype}, {threads_text(n)}": outcome for (dtype, n), outcome in self.main.items()}
         cases |= {f"growth, {dtype}, {n:,} points": outcome for (n, dtype), outcome in self.growth.items()}
         cases |= {f"{law}, {transfer}": outcome for (law, transfer), outcome in self.others.items()}
-        return cases | {f"sampled, {threads_text(n)}": outcome for n, outcome in self.sampled.items()}
+        cases |= {f"sampled, {threads_text(n)}": outcome for n, outcome in self.sampled.items()}
+        cases |= {f"scene, {name}": outcome for name, outcome in self.scenes.items()}
+        return cases | {f"Courant, {dim}D, {method}": outcome for (dim, method), outcome in self.courant.items()}
 
 
 def run_mpm(cases: Cases) -> Findings:
-    """Steps, their growth, other materials, sampled surfaces, then peers; see `Benchmark`."""
+    """Steps, their growth, other materials, parts of steps, linear iterations, then peers; see `Benchmark`."""
     from verification.benchmarks import mpm_tables
 
     cells = chosen_cells()
@@ -94,6 +111,21 @@ def run_mpm(cases: Cases) -> Findings:
     for threads in thread_counts():
         case = {"kind": "sampled", "points": max(64, round(SAMPLED * scale)), "nodes": results.nodes}
         cases.run(results.sampled, threads, f"sampled: {threads_text(threads)}", _CASE, case, threads)
+    if cells is None:
+        for scene, count in SCENES.items():
+            cases.run(
+                results.scenes,
+                scene,
+                f"scenes: {scene}",
+                _STEP_CASE,
+                {"kind": "scene", "scene": scene, "steps": count},
+                most,
+            )
+    for dim, along in COURANT_CELLS.items():
+        for method in METHODS if has_petsc() else METHODS[:1]:
+            case = {"kind": "courant", "dim": dim, "cells": along if cells is None else 16, "method": method}
+            name = f"courant: {dim}D, {method}"
+            cases.run(results.courant, (dim, method), name, _STEP_CASE, case | {"numbers": COURANT}, most)
     _peers(results, cases, most)
     return mpm_tables.findings(results)
 

@@ -6,8 +6,9 @@ from typing import Any
 
 from verification.benchmarks.child_process import Outcome
 from verification.benchmarks.environment import is_wanted
-from verification.benchmarks.mpm import DTYPES, POINTS, Results
+from verification.benchmarks.mpm import COURANT, COURANT_CELLS, DTYPES, POINTS, Results
 from verification.benchmarks.mpm_case import DENSITY, DT, MU, PHASES, SAMPLED_PHASES
+from verification.benchmarks.mpm_step_case import PHASES as STEP_PHASES
 from verification.benchmarks.tables import Findings, Table, add_reasons, megabytes, ratio, seconds, threads_text
 
 # Million points a second of the main case on two threads.
@@ -22,7 +23,9 @@ def findings(results: Results) -> Findings:
         "neo-Hookean and APIC where nothing else is said. A step sorts the points by block, brings mass, momentum and "
         "forces to the grid, and goes back. Medians. Each case runs in a process of its own."
     )
-    tables = [_main(results), _growth(results), _others(results), _sampled(results), _peers(results), _aims(results)]
+    tables = [_main(results), _growth(results), _others(results), _sampled(results), _scenes(results)]
+    tables += [_courant(results, dim) for dim in COURANT_CELLS]
+    tables += [_peers(results), _aims(results)]
     tables = [table for table in tables if table.rows or (table.notes and is_wanted(table.title))]
     failures = [f"{name}: {o.reason}" for name, o in results.own_cases().items() if o.status == "failed"]
     return Findings(summary, tables, _data(results), failures)
@@ -99,6 +102,43 @@ def _sampled(results: Results) -> Table:
     return table
 
 
+def _scenes(results: Results) -> Table:
+    """As table 3.2 of the source."""
+    table = Table(
+        "Parts of a step of scenes, ms",
+        ["", "steps", "points", "samples", "nodes", *STEP_PHASES],
+        notes=[
+            "split: masses and motion of points to their samples, and the stencils of both; to grid, to points: single "
+            "transfers, merging included; solve: of the grid, all Newton iterations and passes of contact, which an "
+            "explicit step has none of. Medians of the first steps but a fifth."
+        ],
+    )
+    for name, outcome in results.scenes.items():
+        add_reasons(table, {name: outcome})
+        if outcome.done:
+            data = outcome.data
+            sizes = [f"{data[key]:,}" for key in ("n", "samples", "nodes")]
+            table.rows.append([name, data["scheme"], *sizes, *(f"{1e3 * data['phases'][p]:.1f}" for p in STEP_PHASES)])
+    return table
+
+
+def _courant(results: Results, dim: int) -> Table:
+    found = {method: outcome for (d, method), outcome in results.courant.items() if d == dim}
+    table = Table(
+        f"Iterations of a linear solve to 1e-6 by the Courant number of sound, {dim}D",
+        ["", "unknowns", *(f"{number:g}" for number in COURANT)],
+        notes=["A drop at rest with its surface; block_cg measures its residual as its preconditioner does."],
+    )
+    add_reasons(table, found)
+    for method, outcome in found.items():
+        if outcome.done:
+            pairs = zip(outcome.data["iterations"], outcome.data["converged"], strict=True)
+            table.rows.append(
+                [method, f"{outcome.data['unknowns']:,}", *(str(n) if ok else "fails" for n, ok in pairs)]
+            )
+    return table
+
+
 def _peers(results: Results) -> Table:
     table = Table(
         f"Beside Taichi, {results.points:,} points",
@@ -140,5 +180,7 @@ def _data(results: Results) -> dict[str, Any]:
         "growth": [{"points": n, "dtype": d, **o.as_data()} for (n, d), o in results.growth.items()],
         "others": [{"law": law, "transfer": t, **o.as_data()} for (law, t), o in results.others.items()],
         "sampled": [{"threads": n, **o.as_data()} for n, o in results.sampled.items()],
+        "scenes": [{"scene": name, **o.as_data()} for name, o in results.scenes.items()],
+        "courant": [{"dim": dim, "method": method, **o.as_data()} for (dim, method), o in results.courant.items()],
         "peers": {dtype: outcome.as_data() for dtype, outcome in results.peers.items()},
     }

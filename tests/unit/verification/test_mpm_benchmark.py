@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from femdeform import cli
-from verification.benchmarks import mpm, mpm_case, mpm_tables
+from verification.benchmarks import mpm, mpm_case, mpm_step_case, mpm_tables
 from verification.benchmarks.child_process import Outcome, run_script, skipped
 from verification.benchmarks.mpm import Results
 
@@ -45,6 +45,35 @@ def test_parts_of_a_sampled_step_are_timed() -> None:
     assert all(seconds > 0.0 for seconds in found["phases"].values())
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_conjugate_gradients_take_more_iterations_with_the_courant_number(dim: int) -> None:
+    def iterations(method: str) -> list[int]:
+        case = {"dim": dim, "cells": 12, "numbers": [0.5, 10.0], "method": method}
+        found = mpm_step_case.courant(case)
+        assert found["converged"] == [True, True]
+        return list(found["iterations"])
+
+    few, many = iterations("block_cg")
+    assert 1 < few < many / 2
+
+
+@pytest.mark.petsc
+def test_a_direct_solve_takes_one_iteration() -> None:
+    case = {"dim": 2, "cells": 12, "numbers": [0.5, 10.0], "method": "newton-mumps"}
+    assert mpm_step_case.courant(case)["iterations"] == [1, 1]
+
+
+@pytest.mark.slow
+def test_parts_of_steps_of_a_scene_make_up_the_step() -> None:
+    found = mpm_step_case.steps_of_scene({"scene": "wine-glass", "steps": 5})
+    phases = found["phases"]
+    assert found["n"] > 500
+    assert all(phases[name] > 0.0 for name in ("sampling", "split", "to grid", "to points"))
+    assert phases["solve"] > 0.0
+    assert phases["heat"] == 0.0
+    assert sum(phases.values()) < 2.0 * phases["step"]
+
+
 def test_tables() -> None:
     data = steps()
     done = Outcome("done", data)
@@ -53,6 +82,9 @@ def test_tables() -> None:
     results.growth = {(512, "float64"): done}
     results.others = {("liquid", "apic"): done}
     results.sampled = {2: Outcome("done", mpm_case.sampled({"points": 64, "nodes": 16}))}
+    results.scenes = {"impact": Outcome("failed", {}, "it fell")}
+    case = {"dim": 2, "cells": 12, "numbers": mpm.COURANT, "method": "block_cg"}
+    results.courant = {(2, "block_cg"): Outcome("done", mpm_step_case.courant(case))}
     peer = {"time": data["time"], "n": 512, "threads": 2, "notes": ["version 1"]}
     results.peers = {"float64": Outcome("done", peer), "float32": skipped("no Taichi")}
     found = mpm_tables.findings(results)
@@ -62,7 +94,9 @@ def test_tables() -> None:
     assert "| 2 threads | 64 |" in text
     assert "Taichi, float32 skipped: no Taichi." in text
     assert "float32, 2 threads failed: it broke." in text
-    assert found.failures == ["steps, float32, 2 threads: it broke"]
+    assert "impact failed: it fell." in text
+    assert "| block_cg | " in text
+    assert found.failures == ["steps, float32, 2 threads: it broke", "scene, impact: it fell"]
     json.dumps(found.data)
 
 
