@@ -567,8 +567,8 @@ pbng: sweeps over the nodes, growth with the mesh, the way to a tolerance beside
 xpbd: sweeps over the cells, what they reach at given stiffness numbers, beside other codes.
 poisson: solvers of the pressure of flows, on boxes of 32^3 to 256^3 voxels, with a plot of residuals for each scene.
 FEMDEFORM_BENCH_ONLY="growth; twist, newton" runs only cases with such a text in the name that they are shown with, of
-  poisson's "64^3, plume" or ": mg". FEMDEFORM_BENCH_CELLS=N makes all bodies blocks of N cells an edge, all grids N^3
-  voxels.
+  poisson's "64^3, plume" or ": mg"; "64^3, ; not dcdm; not : cg" runs all on that grid without these two solvers.
+  FEMDEFORM_BENCH_CELLS=N makes all bodies blocks of N cells an edge, all grids N^3 voxels.
 bench.md holds the tables as Markdown, bench.json all numbers. Both are written after every case: a benchmark that is
   ended keeps what it has measured, and says that it is not finished. A case that breaks is named, the others go on.
 """

@@ -105,11 +105,7 @@ def write_case(result: CaseResult, folder: Path) -> dict[str, bytes]:
         texts[ITERATIONS] = _csv(list(dict.fromkeys(key for row in sweeps for key in row)), sweeps)
     plots = {name: figure_bytes(figure, "png") for name, figure in figures(result.studies).items()}
     files = [*texts, *(f"{name}.png" for name in plots)]
-    with atomic.writing(folder):
-        for name in _earlier(folder / RATES).get("files", []):
-            # Nothing outside the folder, whatever the file says.
-            if isinstance(name, str) and Path(name).name == name and name not in files:
-                (folder / name).unlink(missing_ok=True)
+    atomic.remove_listed(folder, _earlier(folder / RATES).get("files"), kept=files)
     for name, data in plots.items():
         atomic.write_bytes(folder / f"{name}.png", data)
     for name, text in texts.items():

@@ -10,7 +10,7 @@ import contextlib
 import errno
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from femdeform.errors import OutputError
@@ -148,6 +148,29 @@ def remove_leftovers(folder: Path) -> None:
     with writing(folder):
         for leftover in (*folder.glob(".*.part.*"), *folder.glob(".*.part")):
             leftover.unlink(missing_ok=True)
+
+
+def remove_listed(folder: Path, listed: object, kept: Collection[str] = ()) -> None:
+    """Remove files of an earlier run by the list of them that it wrote.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they lie. Nothing outside of it is removed, whatever the list says.
+    listed : object
+        Names, as they were read; anything else is passed over.
+    kept : collection of str
+        Names to leave where they are.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be removed.
+    """
+    with writing(folder):
+        for name in listed if isinstance(listed, list) else []:
+            if isinstance(name, str) and Path(name).name == name and name not in kept:
+                (folder / name).unlink(missing_ok=True)
 
 
 def _beside(path: Path) -> Path:

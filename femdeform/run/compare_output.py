@@ -84,13 +84,8 @@ def write_comparison(comparison: Comparison, folder: Path, further: Iterable[str
     """
     states = state_files(comparison)
     files = [_FACTS, *TABLES, *states.values(), *further]
-    earlier = (_earlier(folder) or {}).get("files")
-    with atomic.writing(folder):
-        for name in earlier if isinstance(earlier, list) else []:
-            # Nothing outside the folder, whatever the file says.
-            if isinstance(name, str) and Path(name).name == name and name != _FACTS:
-                (folder / name).unlink(missing_ok=True)
-        atomic.remove_leftovers(folder)
+    atomic.remove_listed(folder, (_earlier(folder) or {}).get("files"), kept=(_FACTS,))
+    atomic.remove_leftovers(folder)
     _write_facts(folder, {"status": "running", "files": files})
     atomic.write_text(folder / "compare.csv", _to_csv([*comparison.steps, *comparison.reference]))
     atomic.write_text(folder / "iterations.csv", _to_csv(comparison.iterations))

@@ -12,6 +12,7 @@ from femdeform.errors import InputError
 CELLS_VARIABLE = "FEMDEFORM_BENCH_CELLS"
 ONLY_VARIABLE = "FEMDEFORM_BENCH_ONLY"
 PEERS_VARIABLE = "FEMDEFORM_PEERS"
+_NOT = "not "
 
 
 def chosen_cells() -> int | None:
@@ -33,10 +34,12 @@ def chosen_cells() -> int | None:
 def is_wanted(case: str) -> bool:
     """Whether a case is to run: all of them, or those whose name has one of the texts of FEMDEFORM_BENCH_ONLY in it.
 
-    The texts are separated by semicolons.
+    The texts are separated by semicolons. A text after the word ``not`` takes away the cases that have it.
     """
     texts = [text.strip() for text in os.environ.get(ONLY_VARIABLE, "").split(";") if text.strip()]
-    return not texts or any(text in case for text in texts)
+    barred = [text.removeprefix(_NOT).strip() for text in texts if text.startswith(_NOT)]
+    wanted = [text for text in texts if not text.startswith(_NOT)]
+    return (not wanted or any(text in case for text in wanted)) and not any(text in case for text in barred)
 
 
 def has_petsc() -> bool:

@@ -40,7 +40,7 @@ SOLVERS: dict[str, Callable[[PressureSystem], PoissonSolver]] = {
     "petsc hypre": lambda system: PETScPressure(system, "hypre"),
 }
 # Solves of one right-hand side that count, of which the shortest is taken; one only where it is longer than this [s].
-_REPETITIONS, _LONG = 3, 2.0
+_REPETITIONS, _LONG = 3, 0.5
 _MAX_ITERATIONS = 5000
 # An iteration of these is long, and no solve with so many of them is worth waiting for.
 _FEWER = {"dcdm": 120}

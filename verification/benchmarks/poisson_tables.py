@@ -34,8 +34,8 @@ def findings(results: Results) -> Findings:
         "nothing, a blob of seven ellipsoids or a box that turns; closed, or with a layer of air at the top), "
         "steps 5, 10, 20 and 40 of 1/40 s; and of hard domains with four random smooth velocities each. From zero "
         "to a residual of 1e-4 and 1e-6 of the right-hand side, computed anew at the end. Iterations: mean of the "
-        "frames. Times: median of the frames, of each the best of three. Each case runs in a process of its own; "
-        "memory is the peak of the whole process."
+        "frames. Times: median of the frames, of each the best of three, or one over half "
+        "a second. Each case runs in a process of its own; memory is the peak of the whole process."
     )
     tables: list[Table] = []
     for grid in results.grids:

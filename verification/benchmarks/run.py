@@ -19,6 +19,7 @@ from verification.benchmarks.cases import Benchmark, Cases
 from verification.benchmarks.tables import Findings
 
 DEFAULT_FOLDER = Path("results") / "bench"
+_DATA = "bench.json"
 # Characters a line where the output is no terminal, and nobody else says how wide it is.
 _WIDTH = 120
 
@@ -44,6 +45,7 @@ def run_benchmarks(names: list[str], out: Path | None) -> int:
         Which; all if empty.
     out : Path or None
         Folder for ``bench.json`` and ``bench.md``; default ``results/bench``. Both are written after every case.
+        Pictures that an earlier run has left there are removed.
 
     Returns
     -------
@@ -66,6 +68,7 @@ def run_benchmarks(names: list[str], out: Path | None) -> int:
         raise InputError("bench: start it on one rank; it starts further ranks itself")
     folder = DEFAULT_FOLDER if out is None else out
     atomic.make_folder(folder)
+    _remove_pictures(folder)
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=_WIDTH)
@@ -84,7 +87,7 @@ def run_benchmarks(names: list[str], out: Path | None) -> int:
         for table in findings.tables:
             console.print()
             console.print(table.to_rich())
-    console.print(f"\n{folder / 'bench.md'}\n{folder / 'bench.json'}", markup=False, soft_wrap=True)
+    console.print(f"\n{folder / 'bench.md'}\n{folder / _DATA}", markup=False, soft_wrap=True)
     failures = [f"{name}: {text}" for name, findings in results.found.items() for text in findings.failures]
     for text in failures:
         console.print(f"failed: {text}", style="red", markup=False, soft_wrap=True)
@@ -107,6 +110,16 @@ def check_names(names: Sequence[str]) -> list[str]:
             [Fault("", 0, "bench", f"unknown benchmark `{name}`; {did_you_mean(name, BENCHMARKS)}") for name in unknown]
         )
     return list(dict.fromkeys(names)) or list(BENCHMARKS)
+
+
+def _remove_pictures(folder: Path) -> None:
+    """Remove the pictures that an earlier run lists: the tables they belong to are about to be replaced."""
+    try:
+        document = json.loads((folder / _DATA).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return
+    if isinstance(document, dict):
+        atomic.remove_listed(folder, document.get("pictures"))
 
 
 @dataclass
@@ -147,8 +160,9 @@ class Results:
             "machine": self.facts,
             "unfinished": self.unfinished,
             "benchmarks": {name: findings.data for name, findings in self.found.items()},
+            "pictures": [picture for pictures in self.pictures.values() for picture in pictures],
         }
-        atomic.write_text(self.folder / "bench.json", json.dumps(document, indent=2) + "\n")
+        atomic.write_text(self.folder / _DATA, json.dumps(document, indent=2) + "\n")
         atomic.write_text(self.folder / "bench.md", self._markdown())
 
     def finish(self, name: str, findings: Findings) -> None:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from femdeform.flow.pressure_system import GridArray, PressureSystem, shifted
 from solvers.linear.poisson import spd_lmg_kernels as kernels
 from solvers.linear.poisson import spd_lmg_network as network
-from solvers.linear.poisson.multigrid import COARSEST_SWEEPS, OVERCORRECTION, Level, Multigrid
+from solvers.linear.poisson.multigrid import COARSEST_SWEEPS, OVERCORRECTION
+from solvers.linear.poisson.multigrid_levels import EvenSurface, Level, make_levels
 
 
 @dataclass
@@ -71,7 +72,8 @@ class LearnedMultigrid:
 
     Limitations
     -----------
-    Coarse matrices are those of `Multigrid`, which do not see thin walls. The set-up costs more than a solve.
+    Coarse matrices do not see thin walls, and take aggregates to end where air begins (`EvenSurface`). The set-up costs
+    more than a solve.
     """
 
     def __init__(
@@ -87,7 +89,7 @@ class LearnedMultigrid:
                 raise ValueError(f"the weights hold no {name} of shape {shape}: they are of another dimension or kind")
         self.system = system
         self.sweeps = sweeps
-        levels = Multigrid(system, sweeps, dtype).levels
+        levels = make_levels(system, EvenSurface(system), dtype)
         self.coarsest = levels[-1]
         self.learned: list[_Learned] = []
         for k, (level, coarse) in enumerate(itertools.pairwise(levels)):

@@ -14,6 +14,7 @@ from solvers.linear.poisson import spd_lmg_network as network
 from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.interface import Preconditioner
 from solvers.linear.poisson.multigrid import Multigrid
+from solvers.linear.poisson.multigrid_levels import EvenSurface, make_levels
 from solvers.linear.poisson.spd_lmg import LearnedMultigrid, finest_weights
 
 
@@ -101,7 +102,7 @@ def test_heads_of_zero_are_the_classical_cycle(dim: int) -> None:
     parameters = network.start_parameters(dim, np.random.default_rng(0))
     B = as_matrix(system, LearnedMultigrid(system, parameters, 1, np.float64))
     A = system.matrix().toarray()
-    coarse = Multigrid(system, 1, np.float64).levels[1]
+    coarse = make_levels(system, EvenSurface(system), np.float64)[1]
     shares = network.parent_shares(system.diagonal, finest_weights(system, np.float64), coarse.diagonal, dim)
     P = np.zeros((system.n_unknowns, coarse.x.size))
     for row, (i, j, k) in enumerate(np.argwhere(system.unknown)):
@@ -139,7 +140,7 @@ def test_nothing_is_interpolated_through_a_plate(dim: int) -> None:
     labels: NDArray[np.uint8] = np.full((12, 16, 8)[:dim], FLUID, dtype=np.uint8)
     labels[5, :10] = SOLID  # with the frame place 6, the second of its aggregate
     system = PressureSystem(labels)
-    coarse = Multigrid(system, 1, np.float64).levels[1]
+    coarse = make_levels(system, EvenSurface(system), np.float64)[1]
     shares = network.parent_shares(system.diagonal, finest_weights(system, np.float64), coarse.diagonal, dim)
     np.testing.assert_allclose(shares.sum(axis=0)[system.unknown], 1.0, rtol=1e-6)
     across = [slot for slot in range(2**dim) if slot & 1]

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from femdeform.errors import InputError
 from verification.benchmarks import cases, child_process, environment, newton, run
 from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome
@@ -169,6 +170,35 @@ def test_tables_are_written_before_pictures_are_drawn(tmp_path: Path, monkeypatc
     assert run.run_benchmarks(["newton"], tmp_path) == 0
     assert (tmp_path / "a.png").read_bytes() == b"picture"
     assert "![a.png](a.png)" in (tmp_path / "bench.md").read_text(encoding="utf-8")
+
+
+def test_pictures_of_an_earlier_run_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that it says it drew; a rerun with other cases draws others."""
+    drawn = {"a.png": b"a", "b.png": b"b"}
+    findings = Findings("What was measured.", draw=lambda: drawn)
+    monkeypatch.setattr(newton, "run_newton", lambda cases: findings)
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (tmp_path / "outside.png").write_bytes(b"not of this folder")
+    (folder / "mine.png").write_bytes(b"not of a benchmark")
+    assert run.run_benchmarks(["newton"], folder) == 0
+    assert read(folder)["pictures"] == ["a.png", "b.png"]
+    drawn = {"b.png": b"b again", "c.png": b"c"}
+    assert run.run_benchmarks(["newton"], folder) == 0
+    pictures = {path.name: path.read_bytes() for path in folder.glob("*.png")}
+    assert pictures == {"b.png": b"b again", "c.png": b"c", "mine.png": b"not of a benchmark"}
+    assert read(folder)["pictures"] == ["b.png", "c.png"]
+    # A benchmark that does not exist starts nothing, and nothing outside of the folder is touched.
+    with pytest.raises(InputError):
+        run.run_benchmarks(["wrong"], folder)
+    assert (folder / "b.png").exists()
+    (folder / "bench.json").write_text('{"pictures": ["../outside.png", 7, "c.png"]}', encoding="utf-8")
+    drawn = {}
+    assert run.run_benchmarks(["newton"], folder) == 0
+    assert (tmp_path / "outside.png").exists()
+    assert {path.name for path in folder.glob("*.png")} == {"b.png", "mine.png"}
+    (folder / "bench.json").write_text("no JSON", encoding="utf-8")
+    assert run.run_benchmarks(["newton"], folder) == 0
 
 
 def test_what_is_not_asked_for_is_not_run(

@@ -120,6 +120,11 @@ def test_only_the_cases_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     assert environment.is_wanted("growth: neo_hookean, 27 nodes")
     assert environment.is_wanted("to a tolerance: twist, newton, hypre 1e-3")
     assert not environment.is_wanted("to a tolerance: stretch, newton, hypre 1e-3")
+    monkeypatch.setenv(environment.ONLY_VARIABLE, "64^3, ;not dcdm; not : ic(0)")
+    names = ("64^3, rooms: mic(0)", "64^3, rooms: ic(0)", "64^3, rooms: dcdm", "32^3, rooms: mic(0)")
+    assert [environment.is_wanted(name) for name in names] == [True, False, False, False]
+    monkeypatch.setenv(environment.ONLY_VARIABLE, "not dcdm")
+    assert [environment.is_wanted(name) for name in names] == [True, True, False, True]
 
 
 def test_aims_are_those_of_one_block() -> None:

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from femdeform.flow.pressure_system import PressureSystem
 from solvers.linear.poisson import spd_lmg_network as network
-from solvers.linear.poisson.multigrid import COARSEST_SWEEPS, OVERCORRECTION, Multigrid
+from solvers.linear.poisson.multigrid import COARSEST_SWEEPS, OVERCORRECTION
+from solvers.linear.poisson.multigrid_levels import EvenSurface, make_levels
 from solvers.linear.poisson.spd_lmg import finest_weights
 
 
@@ -27,7 +28,7 @@ class LevelArrays:
 
 def domain_levels(system: PressureSystem) -> list[LevelArrays]:
     """All levels of a domain, the coarsest without features."""
-    levels = Multigrid(system, 1, np.float32).levels
+    levels = make_levels(system, EvenSurface(system), np.float32)
     found = []
     for k, level in enumerate(levels):
         weights = level.weights or finest_weights(system, np.float32)
