@@ -215,7 +215,7 @@ class PointStep:
         samples = None
         if surface is not None:
             samples = surface.samples
-            covered = wall_distance(self._tempered, samples.points, time) < 0.0
+            covered = wall_distance(self.walls, samples.points, time) < 0.0
             boundary = heat_boundary(self.scene, points, samples, covered)
         report = self._heat.step(
             points,
