@@ -128,12 +128,17 @@ def value_range(function: TemperatureLaw) -> tuple[float, float]:
         return function, function
     if isinstance(function, TableFunction):
         return min(function.values), max(function.values)
-    low = -inf if function.lowest is None else function.lowest
-    high = inf if function.highest is None else function.highest
+    low, high = limits(function)
     if function.slope == 0.0:
         level = min(max(function.value, low), high)
         return level, level
     return low, high
+
+
+def limits(function: LinearFunction) -> tuple[float, float]:
+    """Values that a linear function does not go beyond."""
+    low = -inf if function.lowest is None else function.lowest
+    return low, inf if function.highest is None else function.highest
 
 
 class SolidModuli(SceneModel):
