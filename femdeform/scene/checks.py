@@ -42,16 +42,16 @@ def check_loaded(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterab
         findings = flow_findings(loaded.scene, meshes)
         return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
     if loaded.scene.simulation == "material_points":
-        findings = list(point_findings(loaded.scene, meshes))
+        wrong = [loaded.fault(finding.path, finding.message) for finding in point_findings(loaded.scene, meshes)]
         # Places cannot be judged on meshes that only stand for those of a run.
-        if not findings and set(loaded.scene.mesh_sources()) <= set(meshes) - set(coarse):
+        if not wrong and set(loaded.scene.mesh_sources()) <= set(meshes) - set(coarse):
             for found in registry.resolve(registry.POINT_PLACES)(loaded.scene, meshes):
+                fault = loaded.fault(found.path, found.message)
                 if found.is_notice:
-                    fault = loaded.fault(found.path, found.message)
                     loaded.notices.append(f"{fault.key}: {fault.message}")
                 else:
-                    findings.append(Finding(found.path, found.message))
-        return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
+                    wrong.append(fault)
+        return sort_faults(wrong)
     return check_scene(loaded, meshes, coarse)
 
 
