@@ -363,13 +363,16 @@ def _check(arguments: argparse.Namespace) -> int:
     is_first = _is_first_rank()
     code = 0
     for path in arguments.scene:
-        faults = faults_of(path, arguments.overrides)
+        notices: list[str] = []
+        faults = faults_of(path, arguments.overrides, notices)
         if faults:
             code = InputError.exit_code
         if not is_first:
             continue
         for fault in faults:
             print(fault, file=sys.stderr)
+        for text in notices:
+            print(f"{path}: note: {text}")
         if not faults:
             print(f"{path}: no faults")
     return code

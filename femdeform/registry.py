@@ -52,6 +52,9 @@ MESH: dict[str, str] = {
 # Where bodies with incremental potential contact start.
 INITIAL_CONTACT = "femdeform.contact.ipc_setup:initial_findings"
 
+# Bodies of material points that start inside of walls or of one another.
+POINT_PLACES = "femdeform.run.point_places:place_findings"
+
 # What the geometry of links between bodies does not allow.
 LINK_GEOMETRY = "femdeform.run.links:link_findings"
 

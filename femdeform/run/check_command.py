@@ -10,7 +10,7 @@ from femdeform.scene.checks import check_file
 from femdeform.scene.document import read_document
 
 
-def faults_of(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
+def faults_of(path: Path, overrides: Sequence[str] = (), notices: list[str] | None = None) -> list[Fault]:
     """Everything wrong with a file that `femdeform run`, `compare` or `batch` is given.
 
     Of a comparison and of a study, all scenes that they lead to are checked, with their meshes.
@@ -21,6 +21,8 @@ def faults_of(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
         The YAML file.
     overrides : sequence of str
         Each ``key=value``, for the scene or for all variants of a comparison.
+    notices : list of str, optional
+        Gets a line for all that is odd about a scene without being wrong.
     """
     try:
         data = read_document(path, "scene, comparison or study").data
@@ -32,7 +34,7 @@ def faults_of(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
         elif "studies" in keys:
             raise InputError([Fault(str(path), 0, "", "is a verification study: `femdeform verify` checks it")])
         else:
-            return check_file(path, overrides)
+            return check_file(path, overrides, notices)
     except InputError as error:
         return list(error.faults)
     return []

@@ -100,8 +100,12 @@ class PointCourse:
     # ------------------------------------------------------------------------------------------------- stepping
 
     def step_limit(self, state: PointState) -> float:
-        """Longest step by the speed of the points, by capillary waves, and by sound where the step is explicit [s]."""
+        """Longest step by the speed of points and walls, by capillary waves, and by sound where it is explicit [s].
+
+        What gravity or forces add to the speeds within the step is left to `PointStep`, which refuses jumps.
+        """
         fastest = float(np.sqrt((state.particles.v**2).sum(axis=1).max(initial=0.0)))
+        fastest = max([fastest, *(float(np.linalg.norm(wall.velocity)) for wall in self._step.walls)])
         courant = self._scene.time.cfl * self._scene.grid.cell_size / fastest if fastest > 0.0 else np.inf
         return min(courant, self._wave_limit(state.particles))
 

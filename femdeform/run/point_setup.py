@@ -94,6 +94,14 @@ def make_points(scene: PointScene, meshes: Mapping[str, Mesh]) -> Particles:
     return Particles.joined(parts)
 
 
+def inside_body(body: schema.PointBody, name: str, meshes: Mapping[str, Mesh], x: FloatArray) -> BoolArray:
+    """Which positions (n, dim) are inside of a body as it starts; what is cut out of its shape is outside."""
+    inside = _shape(body.shape, False, meshes, name).distance(x)[0] < 0.0
+    for cut in body.without:
+        inside &= _shape(cut, False, meshes, name).distance(x)[0] >= 0.0
+    return np.asarray(inside)
+
+
 def _turning(rate: float | tuple[float, ...], dim: int) -> FloatArray:
     """Velocity gradient (dim, dim) of a rigid rotation [1/s]."""
     x, y, z = (0.0, 0.0, rate) if isinstance(rate, float) else rate

@@ -10,6 +10,7 @@ import numpy as np
 
 from femdeform.errors import InputError
 from femdeform.mpm.crowding import uncrowded
+from femdeform.mpm.crushed_points import count_crushed
 from femdeform.mpm.explicit import ExplicitPoints
 from femdeform.mpm.explicit_laws import Laws
 from femdeform.mpm.grid import Grid, Stencils
@@ -33,6 +34,9 @@ from femdeform.run.point_setup import Materials, heat_sources, make_materials, m
 from femdeform.scene.point_schema import PointScene
 from femdeform.step_problem import IterationObserver, StepSolver
 from femdeform.types import FloatArray, Mesh
+
+# Cells of the grid that a point may move by in a step that is accepted.
+_CELLS = 1.0
 
 
 @dataclass(frozen=True)
@@ -168,7 +172,10 @@ class PointStep:
             points.J = uncrowded(points, own, crowding)
         heat = None
         if self.has_heat:
-            heat = self._conduct(points, surface, own if self._owners_exchange else None, time, dt)
+            try:
+                heat = self._conduct(points, surface, own if self._owners_exchange else None, time, dt)
+            except ValueError as error:
+                return particles, PointReport(False, str(error))
             if not heat.converged:
                 return particles, PointReport(False, "the conduction of heat did not converge", heat=heat)
         if self.scene.time.scheme == "explicit":
@@ -182,7 +189,7 @@ class PointStep:
             report = replace(report, n_samples=surface.samples.n, surface_area=area, surface_energy=energy)
         if not report.accepted:
             return particles, report
-        return self._after(new, report)
+        return self._after(particles, new, report)
 
     # ------------------------------------------------------------------------------------------------- parts
 
@@ -208,7 +215,7 @@ class PointStep:
         samples = None
         if surface is not None:
             samples = surface.samples
-            covered = wall_distance(self._tempered, samples.points, time) < 0.0
+            covered = wall_distance(self.walls, samples.points, time) < 0.0
             boundary = heat_boundary(self.scene, points, samples, covered)
         report = self._heat.step(
             points,
@@ -306,10 +313,19 @@ class PointStep:
             new.v[:] = (1.0 - scene.transfer.flip) * new.v + scene.transfer.flip * kept
         return new, replace(report, n_bounded=n_bounded)
 
-    def _after(self, new: Particles, report: PointReport) -> tuple[Particles, PointReport]:
-        """Refuse points that are nowhere; melt and freeze."""
+    def _after(self, old: Particles, new: Particles, report: PointReport) -> tuple[Particles, PointReport]:
+        """Refuse points that are nowhere, have jumped over cells, or are crushed; melt and freeze."""
         if not (np.isfinite(new.x).all() and np.isfinite(new.v).all()):
             return new, replace(report, accepted=False, reason="positions or velocities are not finite")
+        # Grid nodes that a point does not come close to cannot stop it: walls and bodies would be jumped over.
+        motion = new.x - old.x
+        cells = float(np.sqrt(np.einsum("pa,pa->p", motion, motion).max(initial=0.0))) / self._grid.spacing
+        if cells > _CELLS:
+            return new, replace(report, accepted=False, reason=f"a point moved by {cells:.3g} cells in one step")
+        crushed = count_crushed(old, new)
+        if crushed:
+            reason = f"{crushed} solid points shrink to a tenth of their volume, or are turned inside out, in one step"
+            return new, replace(report, accepted=False, reason=reason)
         outside = np.count_nonzero(((new.x < self._low) | (new.x > self._high)).any(axis=1))
         if outside:
             return new, replace(
@@ -348,7 +364,8 @@ class PointStep:
             engine.step(dt)
         except InputError as error:
             return particles, PointReport(False, str(error))
-        new, report = self._after(engine.particles(), PointReport(True, "", n_bounded=engine.n_bounded - bounded))
+        report = PointReport(True, "", n_bounded=engine.n_bounded - bounded)
+        new, report = self._after(particles, engine.particles(), report)
         if report.accepted:
             self._engine_step = step + 1
         return new, report

@@ -34,13 +34,24 @@ _NEEDS_FACETS = (schema.Traction, schema.Pressure)
 
 
 def check_loaded(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterable[str] = ()) -> list[Fault]:
-    """Return everything wrong with a scene of any kind that passed the schema; parameters as for `check_scene`."""
+    """Return everything wrong with a scene of any kind that passed the schema; parameters as for `check_scene`.
+
+    The notices of the scene get a line for each thing about its places at the start that is odd.
+    """
     if loaded.scene.simulation == "incompressible_flow":
         findings = flow_findings(loaded.scene, meshes)
         return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
     if loaded.scene.simulation == "material_points":
-        findings = point_findings(loaded.scene, meshes)
-        return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
+        wrong = [loaded.fault(finding.path, finding.message) for finding in point_findings(loaded.scene, meshes)]
+        # Places cannot be judged on meshes that only stand for those of a run.
+        if not wrong and set(loaded.scene.mesh_sources()) <= set(meshes) - set(coarse):
+            for found in registry.resolve(registry.POINT_PLACES)(loaded.scene, meshes):
+                fault = loaded.fault(found.path, found.message)
+                if found.is_notice:
+                    loaded.notices.append(f"{fault.key}: {fault.message}")
+                else:
+                    wrong.append(fault)
+        return sort_faults(wrong)
     return check_scene(loaded, meshes, coarse)
 
 
@@ -255,7 +266,7 @@ def _mixed_findings(scene: schema.DeformableScene, solver: MixedFEMSolver) -> It
 # ----------------------------------------------------------------------------------------------- whole files
 
 
-def check_file(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
+def check_file(path: Path, overrides: Sequence[str] = (), notices: list[str] | None = None) -> list[Fault]:
     """Everything wrong with a scene file, sorted by line; empty if it can be run.
 
     Parameters
@@ -264,6 +275,8 @@ def check_file(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
         The YAML file.
     overrides : sequence of str
         Each ``key=value``, as on the command line.
+    notices : list of str, optional
+        Gets a line for all that is odd without being wrong.
     """
     try:
         loaded = load_scene(path, overrides)
@@ -280,4 +293,7 @@ def check_file(path: Path, overrides: Sequence[str] = ()) -> list[Fault]:
         load_skins(loaded)
     except InputError as error:
         faults += error.faults
-    return sort_faults([*faults, *survey.faults, *check_loaded(loaded, survey.meshes, survey.coarse)])
+    faults = sort_faults([*faults, *survey.faults, *check_loaded(loaded, survey.meshes, survey.coarse)])
+    if notices is not None:
+        notices += loaded.notices
+    return faults

@@ -122,10 +122,21 @@ class PointWall(SceneModel):
 # ------------------------------------------------------------------------------------------------------- bodies
 
 
-def _range(function: LinearFunction | TableFunction) -> tuple[float, float]:
-    """Lowest and highest value that a function of the temperature can have."""
+def value_range(function: TemperatureLaw) -> tuple[float, float]:
+    """Lowest and highest value that a number or a function of the temperature can have."""
+    if isinstance(function, float):
+        return function, function
     if isinstance(function, TableFunction):
         return min(function.values), max(function.values)
+    low, high = limits(function)
+    if function.slope == 0.0:
+        level = min(max(function.value, low), high)
+        return level, level
+    return low, high
+
+
+def limits(function: LinearFunction) -> tuple[float, float]:
+    """Values that a linear function does not go beyond."""
     low = -inf if function.lowest is None else function.lowest
     return low, inf if function.highest is None else function.highest
 
@@ -144,10 +155,10 @@ class SolidModuli(SceneModel):
     def _in_range(self) -> SolidModuli:
         if self.youngs_modulus is None and self.poisson_ratio is None:
             raise ValueError("needs youngs_modulus or poisson_ratio")
-        if self.youngs_modulus is not None and not _range(self.youngs_modulus)[0] > 0.0:
+        if self.youngs_modulus is not None and not value_range(self.youngs_modulus)[0] > 0.0:
             raise ValueError("youngs_modulus: has to be positive at every temperature")
         if self.poisson_ratio is not None:
-            low, high = _range(self.poisson_ratio)
+            low, high = value_range(self.poisson_ratio)
             if not (low > -1.0 and high < 0.5):
                 raise ValueError("poisson_ratio: has to be between -1 and 0.5, both excluded, at every temperature")
         return self
@@ -155,8 +166,19 @@ class SolidModuli(SceneModel):
 
 class LiquidMaterial(SceneModel):
     density: Positive = Field(description="mass density at rest [kg/m^3], in 2D [kg/m^2]")
-    bulk_modulus: TemperatureLaw = Field(description="pressure over the loss of volume [Pa]")
-    viscosity: TemperatureLaw = Field(default=0.0, description="dynamic viscosity [Pa s]")
+    bulk_modulus: TemperatureLaw = Field(
+        description="pressure over the loss of volume, not negative [Pa]; a linear function needs `lowest`"
+    )
+    viscosity: TemperatureLaw = Field(
+        default=0.0, description="dynamic viscosity, not negative [Pa s]; a linear function needs `lowest`"
+    )
+
+    @model_validator(mode="after")
+    def _resists(self) -> LiquidMaterial:
+        for key, function in (("bulk_modulus", self.bulk_modulus), ("viscosity", self.viscosity)):
+            if value_range(function)[0] < 0.0:
+                raise ValueError(f"{key}: must not be negative at any temperature")
+        return self
 
 
 class TensionRegion(SceneModel):
@@ -240,8 +262,7 @@ class HeatBlock(SceneModel):
 
     @model_validator(mode="after")
     def _conducts(self) -> HeatBlock:
-        lowest = self.conductivity if isinstance(self.conductivity, float) else _range(self.conductivity)[0]
-        if lowest < 0.0:
+        if value_range(self.conductivity)[0] < 0.0:
             raise ValueError("conductivity: must not be negative at any temperature")
         return self
 

@@ -105,7 +105,12 @@ class PointTime(TimeStepping):
     scheme: Literal["explicit", "backward_euler"] = Field(
         default="backward_euler", description="symplectic Euler, with steps that resolve sound; or implicit"
     )
-    cfl: float = Field(default=0.6, gt=0.0, lt=1.0, description="part of a cell that a point may cross in a step [-]")
+    cfl: float = Field(
+        default=0.6,
+        gt=0.0,
+        lt=1.0,
+        description="part of a cell that points and walls may cross in a step, by their speeds before it [-]",
+    )
 
 
 class PointNewtonSolver(ProjectedNewtonSolver):

@@ -17,6 +17,8 @@ from femdeform.types import FloatArray, Mesh
 _SUPPORT = 3.0
 # Of the cell size: what rounding may do to a body that fills the domain.
 _ROUNDING = 1e-9
+# Temperatures between those at the ends of a body at which its tension is looked at.
+_SAMPLES = 65
 
 
 def start_findings(scene: PointScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
@@ -33,9 +35,11 @@ def start_findings(scene: PointScene, meshes: Mapping[str, Mesh]) -> Iterator[Fi
     yield from _place_findings(scene, meshes)
     for name, body in scene.bodies.items():
         if body.surface_tension is not None:
-            yield from _tension_findings(name, body.surface_tension)
+            found = list(_tension_findings(name, body.surface_tension))
+            yield from found or _start_tension_findings(name, body, body.surface_tension, meshes.get(name))
         if body.melting is not None:
             yield from _phase_findings(name, body, body.melting)
+            yield from _density_findings(name, body)
     radius, least = scene.surface.radius, math.sqrt(scene.dim) / 2.0
     if radius is not None and not least < radius < 1.0:
         reason = "smaller spheres leave gaps between points" if radius <= least else "larger ones reach too far"
@@ -103,6 +107,72 @@ def _tension_findings(name: str, tension: schema.SurfaceTensionBlock) -> Iterato
     if isinstance(wet, float) and isinstance(free, float) and free >= 0.0 and wet + free < 0.0:
         limit = f"must not be below -liquid_gas, {-free:g} [N/m], not {wet:g}"
         yield Finding((*path, "solid_liquid"), f"{limit}: a film on the wall grows without bounds")
+
+
+def _start_temperatures(body: schema.PointBody, mesh: Mesh | None) -> FloatArray:
+    """Temperatures from the lowest to the highest that a body starts with [K]; none where these are not known."""
+    start, shape = body.temperature, body.shape
+    if isinstance(start, float):
+        return np.array([start])
+    slope = np.array(start.gradient)
+    # What is cut out may have been the hottest or the coldest part.
+    if body.without or (isinstance(shape, schema.MeshShape) and (mesh is None or mesh.dim != slope.size)):
+        return np.empty(0)
+    if isinstance(shape, schema.MeshShape):
+        assert mesh is not None
+        along = mesh.points @ slope
+    elif isinstance(shape, schema.BoxShape):
+        corners = np.array([shape.min, shape.max])
+        along = np.array([(corners * slope).min(axis=0).sum(), (corners * slope).max(axis=0).sum()])
+    else:
+        reach = np.linalg.norm(slope * (shape.radius if isinstance(shape, schema.SphereShape) else shape.semi_axes))
+        along = np.array(shape.center) @ slope + np.array([-reach, reach])
+    found = start.value + along - np.array(start.at) @ slope
+    return np.linspace(found.min(), found.max(), _SAMPLES)
+
+
+def _at(function: schema.TemperatureLaw, temperatures: FloatArray) -> FloatArray:
+    """Values of a function of temperature."""
+    if isinstance(function, schema.TableFunction):
+        return np.asarray(np.interp(temperatures, function.temperatures, function.values))
+    if isinstance(function, schema.LinearFunction):
+        values = function.value + function.slope * (temperatures - function.reference)
+        return np.asarray(np.clip(values, *schema.limits(function)))
+    return np.full(temperatures.shape, function)
+
+
+def _start_tension_findings(
+    name: str, body: schema.PointBody, tension: schema.SurfaceTensionBlock, mesh: Mesh | None
+) -> Iterator[Finding]:
+    """Tensions that are negative at the temperatures of the start, where the surface has them from the first step."""
+    if not (body.starts_liquid or tension.on_solid):
+        return
+    temperatures = _start_temperatures(body, mesh)
+    if temperatures.size == 0:
+        return
+    path = ("bodies", name, "surface_tension")
+    free = _at(tension.liquid_gas, temperatures)
+    given = [("liquid_gas", free, "must not be negative", "such a surface grows without bounds")]
+    if tension.solid_liquid is not None:
+        total = _at(tension.solid_liquid, temperatures) + free
+        given.append(
+            ("solid_liquid", total, "plus liquid_gas must not be negative", "a film on the wall grows without bounds")
+        )
+    for key, values, rule, why in given:
+        worst = int(np.argmin(values))
+        if values[worst] < 0.0:
+            at = f"{values[worst]:g} [N/m] at {temperatures[worst]:g} [K], a temperature of the start"
+            yield Finding((*path, key), f"{rule}, {at}: {why}")
+            return
+
+
+def _density_findings(name: str, body: schema.PointBody) -> Iterator[Finding]:
+    solid, liquid = body.solid, body.liquid
+    if solid is None or liquid is None or solid.density == liquid.density:
+        return
+    message = f"must be that of `solid`, {solid.density:g} [kg/m^3], not {liquid.density:g}"
+    keeps = "what melts or freezes keeps its mass and its volume at rest"
+    yield Finding(("bodies", name, "liquid", "density"), f"{message}: {keeps}")
 
 
 def _phase_findings(name: str, body: schema.PointBody, melting: schema.MeltingBlock) -> Iterator[Finding]:

@@ -39,6 +39,14 @@ class Finding(NamedTuple):
     message: str
 
 
+class PlaceFinding(NamedTuple):
+    """Something about places at the start, at a key path; odd rather than wrong if it is a notice."""
+
+    path: KeyPath
+    message: str
+    is_notice: bool
+
+
 def find_faults(model: Any, data: Any) -> list[Finding]:
     """Return everything about `data` that keeps it from being a `model`; an empty list means that it is one.
 

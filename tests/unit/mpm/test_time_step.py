@@ -7,23 +7,7 @@ import pytest
 
 from femdeform.materials.neo_hookean import NeoHookean
 from femdeform.mpm.explicit_laws import Liquid
-from femdeform.mpm.time_step import CAPILLARY, SOUND, VISCOUS, StepControl, explicit_limit
-
-
-def test_steps_follow_the_fastest_node_and_grow_slowly() -> None:
-    control = StepControl(1e-4, 1e-2)
-    assert control.next(0.1, 0.0) == 1e-2
-    assert control.next(0.1, 12.0) == pytest.approx(0.6 * 0.1 / 12.0)
-    assert control.next(0.1, 1e9) == 1e-4
-    assert control.next(0.1, 0.0, before=1e-3) == pytest.approx(1.2e-3)
-    assert control.next(0.1, 600.0, before=1e-2) == 1e-4
-    assert control.next(0.1, 0.0, limit=5e-5) == 5e-5
-
-
-@pytest.mark.parametrize("numbers", [(1.0, 0.1), (0.0, 1.0, 1.0), (0.0, 1.0, 0.5, 0.9)])
-def test_a_control_without_sense_is_refused(numbers: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="step control"):
-        StepControl(*numbers)
+from femdeform.mpm.time_step import CAPILLARY, SOUND, VISCOUS, explicit_limit
 
 
 def test_limits_of_explicit_steps() -> None:

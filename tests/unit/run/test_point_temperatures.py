@@ -194,3 +194,31 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
 def test_bad_input(tmp_path: Path, message: str, more: dict[str, Any], key: str) -> None:
     faults = [str(fault) for fault in check_file(written(points(**more), tmp_path / "bad.yaml"))]
     assert any(key in fault and message in fault for fault in faults), faults
+
+
+@pytest.mark.parametrize("exchange", [{"transfer": 10.0, "ambient": 0.0}, {"flux": 50.0}], ids=["transfer", "flux"])
+def test_walls_without_a_temperature_insulate(tmp_path: Path, exchange: dict[str, float]) -> None:
+    """All round, nothing gets in or out; a body with one side free changes through that side only."""
+    shape = {"kind": "box", "min": [0.25, 0.25], "max": [0.75, 0.75]}
+    free = {"kind": "box", "min": [0.25, 0.25], "max": [0.75, 2.0]}
+    changes = []
+    for name, container in (("shut", shape), ("open", free)):
+        out = run(
+            tmp_path,
+            name,
+            time={"dt": 0.02, "end": 0.1},
+            shape=shape,
+            liquid=None,
+            solid=JELLY,
+            temperature=100.0,
+            heat={**HEAT, **exchange},
+            walls=[{"shape": container, "inside": True, "kind": "slip"}],
+            measure={"T": {"kind": "mean_temperature"}},
+        )
+        changes.append(read_table(out / "history.csv")["measure.T"][-1] - 100.0)
+    assert abs(changes[0]) < 1e-9
+    # Through 0.5 m of surface to 2.5 kg for 0.1 s: 50 W/m^2, or up to 1000 that fall with the temperature there.
+    if "flux" in exchange:
+        assert changes[1] == pytest.approx(50.0 * 0.5 * 0.1 / (10.0 * 0.25), rel=0.15)
+    else:
+        assert -20.0 < changes[1] < -10.0
