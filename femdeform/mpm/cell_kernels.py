@@ -1,6 +1,6 @@
 """Compiled loops of the implicit step that go through the cells of points: forces, and products with the Hessian.
 
-Points of one cell have the same nodes, so their forces are summed up there first, in a few lines of fast memory, and the
+Points of one cell have the same nodes, so their forces are summed up there first, in a few lines of fast memory; the
 nodes gather the sums of the cells around them, in a fixed order: no two threads write to one place. Each point's
 gradients are read once in a product. The notation is that of `mpm.point_kernels`.
 """
