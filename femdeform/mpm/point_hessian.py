@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from femdeform.mpm import point_kernels
+from femdeform.mpm import cell_kernels, point_kernels
 from femdeform.mpm.point_quadrature import NodePattern, Quadrature
 from femdeform.parallel import Partition
 from femdeform.types import BoolArray, FloatArray, IntArray
@@ -164,11 +164,22 @@ class PointHessian:
         u = np.where(self.free, field, 0.0) if self._is_held else np.ascontiguousarray(field)
         if self._is_turned:
             u = np.einsum("iab,ib->ia", self.frames, u)
-        D, P = np.empty_like(q.base), np.empty_like(q.base)
-        point_kernels.deformations(u, q.nodes, q.gradients, self._dims, self._stencil, D)
-        point_kernels.stress_changes(D, t.place, t.matrices, t.alpha, t.beta, self._dims, P)
-        out = np.empty_like(u)
-        point_kernels.forces(P, q.gradients, q.offsets, q.entries, self._dims, self._stencil, out)
+        at_cells = q.cells.empty(self.dim)
+        cell_kernels.products(
+            u,
+            q.nodes,
+            q.gradients,
+            q.cells.offsets,
+            q.cells.points,
+            t.place,
+            t.matrices,
+            t.alpha,
+            t.beta,
+            self._dims,
+            self._stencil,
+            at_cells,
+        )
+        out = q.cells.gather(at_cells)
         self.partition.accumulate(out)
         out += self.weights[:, None] * u
         if self._is_turned:

@@ -1,4 +1,4 @@
-"""Compiled loops of the implicit step: deformation of points, forces at the nodes, products with the Hessian.
+"""Compiled loops of the implicit step: deformation of points, and the Hessian as a matrix.
 
 The displacement of the nodes in a step is u; a point q deforms by ``F_q = B_q + sum_i u_i G_qi^T``, with B = I and G
 the gradients of the weights, or for solids B = F^n and ``G = F^nT grad w``. Everything that a law says of a point is
@@ -42,58 +42,6 @@ def deformations(u: Any, nodes: Any, gradients: Any, dim: Any, stencil: Any, out
         D = deformation_gradient(u, nodes, gradients, q, 0, dim, stencil)
         for c in range(out.shape[1]):
             out[q, c] = D[c]
-
-
-@njit(parallel=True)
-def forces(P: Any, gradients: Any, offsets: Any, entries: Any, dim: Any, stencil: Any, out: Any) -> None:
-    """Gradient at the nodes [N]: ``out_i = sum_q P_q G_qi``.
-
-    Parameters
-    ----------
-    P : (n_points, dim^2)
-        Stresses times volumes [J].
-    gradients : (n_points, 1, n_stencil, dim)
-        [1/m].
-    offsets, entries
-        Points of each node, as ``point n_stencil + place in its stencil``.
-    dim, stencil : tuple
-        See `deformations`.
-    out : (n_nodes, dim)
-        Result.
-    """
-    d, size = len(dim), len(stencil)
-    for i in prange(out.shape[0]):
-        for c in range(d):
-            out[i, c] = 0.0
-        for t in range(offsets[i], offsets[i + 1]):
-            q = entries[t] // size
-            k = entries[t] - q * size
-            for c in range(d):
-                s = 0.0
-                for b in range(d):
-                    s += P[q, d * c + b] * gradients[q, 0, k, b]
-                out[i, c] += s
-
-
-@njit(parallel=True)
-def stress_changes(D: Any, place: Any, tangents: Any, alpha: Any, beta: Any, dim: Any, out: Any) -> None:
-    """``dP_q = C_q : D_q``, (n_points, dim^2); see `assemble` for the arguments."""
-    d = len(dim)
-    for q in prange(D.shape[0]):
-        if place[q] >= 0:
-            for i in range(d * d):
-                s = 0.0
-                for j in range(d * d):
-                    s += tangents[place[q], i, j] * D[q, j]
-                out[q, i] = s
-        else:
-            trace = 0.0
-            for c in range(d):
-                trace += D[q, (d + 1) * c]
-            for c in range(d):
-                for b in range(d):
-                    value = 0.5 * beta[q] * (D[q, d * c + b] + D[q, d * b + c])
-                    out[q, d * c + b] = value + alpha[q] * trace if b == c else value
 
 
 @njit

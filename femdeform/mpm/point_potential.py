@@ -24,7 +24,7 @@ import numpy as np
 
 from femdeform.fem.assembly import roundoff
 from femdeform.fem.incremental_potential import State
-from femdeform.mpm import point_kernels
+from femdeform.mpm import cell_kernels, point_kernels
 from femdeform.mpm.grid import Stencils
 from femdeform.mpm.node_shares import share_out
 from femdeform.mpm.node_walls import NodeWall, WallContact
@@ -354,8 +354,10 @@ class PointPotential:
         return total
 
     def _forces(self, P: FloatArray) -> FloatArray:
-        q, out = self.quadrature, np.empty_like(self.points)
-        point_kernels.forces(P, q.gradients, q.offsets, q.entries, self._dims, self._stencil, out)
+        q = self.quadrature
+        at_cells = q.cells.empty(self.dim)
+        cell_kernels.forces(P, q.gradients, q.cells.offsets, q.cells.points, self._dims, self._stencil, at_cells)
+        out = q.cells.gather(at_cells)
         self.partition.accumulate(out)
         return out
 

@@ -9,13 +9,63 @@ import numpy as np
 
 from femdeform.counting_sort import sort_by_number
 from femdeform.fem.assembly import expand_to_dofs
-from femdeform.mpm import point_kernels
+from femdeform.mpm import cell_kernels, point_kernels
 from femdeform.mpm.grid import Stencils
 from femdeform.parallel import Partition
 from femdeform.types import FloatArray, IntArray
 
 # Weights that add up to one but for this belong to points whose nodes are all there.
 _COMPLETE = 1e-12
+
+
+@dataclass(frozen=True)
+class PointCells:
+    """Points by the cells they lie in: all of a cell have the same nodes.
+
+    Attributes
+    ----------
+    offsets : (n_cells + 1,)
+        First point of each cell in `points`.
+    points : (n_points,)
+        Points of one cell after the other, ascending in each.
+    size : int
+        Nodes of a cell.
+    row_offsets, rows
+        Rows ``cell size + place of the node in the cell`` of each node, ascending.
+    """
+
+    offsets: IntArray
+    points: IntArray
+    size: int
+    row_offsets: IntArray
+    rows: IntArray
+
+    @classmethod
+    def of(cls, stencils: Stencils, n: int) -> PointCells:
+        """Cells of the first n points of some stencils."""
+        held = stencils.weights[:n] > 0.0
+        size = held.shape[1]
+        # The middle node tells the cell; a point without it has one of its own.
+        middle = size // 2
+        cell = np.where(held[:, middle], stencils.nodes[:n, middle], stencils.n_nodes + np.arange(n))
+        points, offsets = sort_by_number(cell, stencils.n_nodes + n)
+        offsets = offsets[np.concatenate([[True], np.diff(offsets) > 0])]
+        numbers = np.where(held, stencils.nodes[:n], stencils.n_nodes)[points]
+        # Nodes that no point of a cell weighs are sorted behind the last node.
+        nodes = np.minimum.reduceat(numbers, offsets[:-1], axis=0) if n else numbers
+        rows, row_offsets = sort_by_number(nodes.ravel(), stencils.n_nodes + 1)
+        return cls(offsets, points, size, row_offsets[:-1], rows)
+
+    def empty(self, dim: int) -> FloatArray:
+        """Room for vectors at the nodes of all cells, (n_cells, n_stencil, dim)."""
+        return np.empty((self.offsets.size - 1, self.size, dim))
+
+    def gather(self, at_cells: FloatArray) -> FloatArray:
+        """Sums (n_nodes, dim) of what cells have for their nodes."""
+        dim = at_cells.shape[2]
+        out = np.empty((self.row_offsets.size - 1, dim))
+        cell_kernels.gather(at_cells.reshape(-1, dim), self.row_offsets, self.rows, out)
+        return out
 
 
 @dataclass(frozen=True)
@@ -32,6 +82,8 @@ class Quadrature:
         B: F^n of solids, else the identity [-].
     offsets, entries
         Points of each node, ascending, as ``point n_stencil + place in its stencil``.
+    cells : PointCells
+        The same points by cells.
     """
 
     nodes: np.ndarray[Any, np.dtype[np.int32]]
@@ -39,6 +91,7 @@ class Quadrature:
     base: FloatArray
     offsets: IntArray
     entries: IntArray
+    cells: PointCells
 
     @classmethod
     def of(cls, stencils: Stencils, n: int, F: FloatArray, solid: IntArray) -> Quadrature:
@@ -66,7 +119,7 @@ class Quadrature:
         numbers = np.where(held, stencils.nodes[:n], stencils.n_nodes).ravel()
         entries, offsets = sort_by_number(numbers, stencils.n_nodes + 1)
         nodes = np.ascontiguousarray(stencils.nodes[:n])
-        return cls(nodes, gradients[:, None], base, offsets[:-1], entries)
+        return cls(nodes, gradients[:, None], base, offsets[:-1], entries, PointCells.of(stencils, n))
 
 
 def consistent_gradients(stencils: Stencils, n: int) -> FloatArray:

@@ -32,7 +32,7 @@ def heat_boundary(
     samples : SurfaceSamples
         Of their surface.
     covered : (n_samples,) bool, optional
-        Samples on walls that keep a temperature: nothing else enters there.
+        Samples on walls: no air and no flame is there.
     """
     blocks = [body.heat for body in scene.bodies.values()]
     assert all(block is not None for block in blocks)
@@ -46,7 +46,8 @@ def heat_boundary(
     def flux(positions: FloatArray, time: float) -> FloatArray:
         values = np.zeros(len(positions))
         for number, heat in enumerate(heats):
-            here = bare & (of_sample == number) & (time > heat.flux_start)
+            burns = time > heat.flux_start and (heat.flux_end is None or time <= heat.flux_end)
+            here = bare & (of_sample == number) & burns
             if heat.flux_within is not None:
                 here &= _is_heated(heat.flux_within, positions, time, points.x, scene.grid.cell_size)
             values[here] = heat.flux

@@ -258,12 +258,15 @@ class HeatBlock(SceneModel):
     flux: Finite = Field(default=0.0, description="heating of the surface whatever its temperature [W/m^2]")
     flux_within: HeatedPlace | None = Field(default=None, description="where the flux acts; default: everywhere")
     flux_start: NonNegative = Field(default=0.0, description="time at which the flux begins [s]")
+    flux_end: NonNegative | None = Field(default=None, description="time at which it ends [s]; default: never")
     source: Finite = Field(default=0.0, description="heating of the volume [W/m^3]")
 
     @model_validator(mode="after")
     def _conducts(self) -> HeatBlock:
         if value_range(self.conductivity)[0] < 0.0:
             raise ValueError("conductivity: must not be negative at any temperature")
+        if self.flux_end is not None and self.flux_end <= self.flux_start:
+            raise ValueError(f"flux_end: must be later than flux_start, {self.flux_start:g} [s], not {self.flux_end:g}")
         return self
 
 

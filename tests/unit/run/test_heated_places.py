@@ -56,6 +56,19 @@ def test_a_box_is_heated_and_nothing_else() -> None:
     np.testing.assert_array_equal(is_heated, samples.points[:, 0] <= 0.5)
 
 
+def test_flux_begins_and_ends() -> None:
+    heat = {"capacity": 1.0, "conductivity": 0.1, "flux": 7.0, "flux_start": 0.02, "flux_end": 0.04}
+    given = scene(heat=heat)
+    points = make_points(given, {})
+    samples = SurfaceSampler(CELL).sample(points.x, 0)
+    flux = heat_boundary(given, points, samples).flux
+    assert callable(flux)
+    for time, expected in ((0.02, 0.0), (0.03, 7.0), (0.04, 7.0), (0.041, 0.0)):
+        np.testing.assert_array_equal(flux(samples.points, time), expected)
+    with pytest.raises(ValueError, match=r"flux_end: must be later than flux_start, 0.02 \[s\], not 0.02"):
+        scene(heat={**heat, "flux_end": 0.02})
+
+
 def test_a_wick_burns_down_with_its_body() -> None:
     given = scene({"kind": "wick", "path": [[0.5, 0.2], [0.5, 0.4], [0.5, 0.9]], "radius": 0.1})
     points = make_points(given, {})
