@@ -88,6 +88,9 @@ class LearnedMultigrid:
         self.system = system
         self.sweeps = sweeps
         levels = Multigrid(system, sweeps, dtype).levels
+        # Coarse levels may have no unknowns, where fluid is scattered in parts of a coarse voxel: nothing to adapt to there.
+        used = [level for level in levels if level.diagonal.any()]
+        levels = used or levels[:1]
         self.coarsest = levels[-1]
         self.learned: list[_Learned] = []
         for k, (level, coarse) in enumerate(itertools.pairwise(levels)):

@@ -126,7 +126,7 @@ def test_an_inlet_drives_fluid_through_the_box(tmp_path: Path) -> None:
         "sources": {},
         "measure": {"speed": {"kind": "velocity", "at": [0.5, 0.5], "component": "x"}},
     }
-    out = run(tmp_path, inlets=inlets, boundaries={"right": "open"}, time={"dt": 0.1, "end": 1.0}, **more)
+    out = run(tmp_path, inlets=inlets, boundaries={"right": "open"}, time={"dt": 0.1, "end": 1.0}, buoyancy=0.0, **more)
     quantities = facts(out)["quantities"]
     assert quantities["measure.speed"] == pytest.approx(0.5, rel=1e-6)
     assert quantities["smoke"] == pytest.approx(0.25 * 0.5 * 0.9 * 1.25, rel=0.03)
