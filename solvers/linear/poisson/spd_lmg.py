@@ -88,7 +88,7 @@ class LearnedMultigrid:
         self.system = system
         self.sweeps = sweeps
         levels = Multigrid(system, sweeps, dtype).levels
-        # Coarse levels may have no unknowns, where fluid is scattered in parts of a coarse voxel: nothing to adapt to there.
+        # Where fluid is scattered in parts of a coarse voxel that level has no unknowns, and nothing to adapt to.
         used = [level for level in levels if level.diagonal.any()]
         levels = used or levels[:1]
         self.coarsest = levels[-1]
