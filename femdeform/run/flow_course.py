@@ -146,6 +146,8 @@ class FlowCourse:
     def row(self, state: FlowState, report: FlowReport) -> dict[str, float | int | str]:
         """Divergence, energies and what the scene measures."""
         self._log_events(state.step)
+        self.notices += [f"linear_solver: {text}" for text in self._make_solver.notices]
+        self._make_solver.notices.clear()
         grid = self.flow.grid
         self._measured = {f"measure.{name}": value for name, value in self._meter.evaluate(state).items()}
         return {

@@ -36,7 +36,7 @@ _NEEDS_FACETS = (schema.Traction, schema.Pressure)
 def check_loaded(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterable[str] = ()) -> list[Fault]:
     """Return everything wrong with a scene of any kind that passed the schema; parameters as for `check_scene`."""
     if loaded.scene.simulation == "incompressible_flow":
-        findings = flow_findings(loaded.scene, meshes)
+        findings = flow_findings(loaded.scene, meshes, loaded.base_dir)
         return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
     if loaded.scene.simulation == "material_points":
         findings = point_findings(loaded.scene, meshes)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from femdeform import registry
 from femdeform.scene.filled_mesh_checks import why_nothing_is_inside
 from femdeform.scene.flow_places import SIDES, inlet_faces, inlet_velocity
 from femdeform.scene.flow_schema import (
@@ -19,11 +21,12 @@ from femdeform.scene.flow_schema import (
 )
 from femdeform.scene.key_path import KeyPath
 from femdeform.scene.measured_checks import unmeasured_findings
+from femdeform.scene.pressure_schema import LearnedPressureSolver
 from femdeform.scene.validation import Finding
 from femdeform.types import Mesh
 
 
-def flow_findings(scene: FlowScene, meshes: Mapping[str, Mesh]) -> Iterator[Finding]:
+def flow_findings(scene: FlowScene, meshes: Mapping[str, Mesh], folder: Path) -> Iterator[Finding]:
     """Findings about a scene that passed the schema.
 
     Parameters
@@ -32,6 +35,8 @@ def flow_findings(scene: FlowScene, meshes: Mapping[str, Mesh]) -> Iterator[Find
         The scene.
     meshes : mapping of str to Mesh
         Meshes of the solids.
+    folder : Path
+        Where files of weights are named from.
     """
     dimensions = list(_dimension_findings(scene))
     yield from dimensions
@@ -39,6 +44,10 @@ def flow_findings(scene: FlowScene, meshes: Mapping[str, Mesh]) -> Iterator[Find
         yield from _inlet_findings(scene)
     yield from _solid_findings(scene, meshes)
     yield from _measure_findings(scene)
+    if isinstance(scene.linear_solver, LearnedPressureSolver):
+        fault = registry.resolve(registry.WEIGHTS_FAULT)(scene.linear_solver, folder, scene.dim)
+        if fault:
+            yield Finding(("linear_solver", "weights"), fault)
     if scene.dim == 2:
         for side in ("back", "front"):
             if getattr(scene.boundaries, side) == "open":

@@ -139,6 +139,20 @@ def test_a_source_at_a_wall_is_told_from_an_inlet(tmp_path: Path, capsys: pytest
     assert "sources.jet: blows from the wall on the left, which lets nothing in" in capsys.readouterr().err
 
 
+def test_notices_of_solves_are_told_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from solvers.linear.poisson.guard import SlowNotice
+
+    take = SlowNotice.take
+    monkeypatch.setattr(SlowNotice, "take", lambda self, name, learned, classical: take(self, name, 2.0, 1.0))
+    path = written(plume(linear_solver={"method": "spd_lmg"}), tmp_path / "s.yaml")
+    assert run_scene(path, out=tmp_path / "out", threads=1) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "linear_solver" in line]
+    assert len(lines) == 1
+    assert "note: linear_solver: spd_lmg took 2 s for a pressure, multigrid 1 s" in lines[0]
+
+
 def test_a_speed_that_no_step_can_follow_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = {**BALL, "velocity": [1e7, 0.0]}
     path = written(plume(sources={"jet": source}), tmp_path / "s.yaml")
@@ -243,6 +257,9 @@ def test_the_resolved_scene_runs_from_anywhere(tmp_path: Path) -> None:
         ({"solids": {"a": {"mesh": SQUARE, "motion": {"axis": [0, 0, 1]}}}}, "in the plane solids turn about z"),
         ({"bodies": {}}, "bodies: not a key of simulation `incompressible_flow`; it belongs to `deformable`"),
         ({"linear_solver": {"method": "mg_pgc"}}, "did you mean `mg_pcg`?"),
+        ({"linear_solver": {"method": "dcdm", "weights": "nope.npz"}}, "linear_solver.weights: cannot read"),
+        ({"linear_solver": {"method": "dcdm", "weights": "nope"}}, "weights: there are no weights named nope; shipped"),
+        ({"linear_solver": {"method": "dcdm", "weights": "spd-lmg-2d"}}, "weights: spd-lmg-2d holds weights of method"),
     ],
 )
 def test_faults_have_their_key(tmp_path: Path, more: dict[str, Any], message: str) -> None:
