@@ -52,7 +52,8 @@ class PressureSystem:
 
     Limitations
     -----------
-    Faces are open or closed as a whole: no cut cells. Voxels are cubes of one size, the fluid has one density. Air begins at the centre of its voxel, whatever the surface.
+    Faces are open or closed as a whole: no cut cells. Voxels are cubes of one size, the fluid has one density.
+    Air begins at the centre of its voxel, whatever the surface.
     """
 
     def __init__(self, labels: NDArray[np.uint8]) -> None:

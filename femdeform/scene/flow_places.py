@@ -40,9 +40,8 @@ def inlet_faces(scene: FlowScene, inlet: Inlet) -> NDArray[np.bool_]:
     else:
         if isinstance(inlet.region, BoxRegion):
             first, last = (corner[axis] for corner in inlet.region.box)
-            points[..., axis] = (
-                np.clip(plane, *sorted((first, last))) if first - h / 2 <= plane <= last + h / 2 else plane
-            )
+            if first - h / 2 <= plane <= last + h / 2:
+                points[..., axis] = min(max(plane, first), last)
         found = inside(inlet.region, points)
     del counts[axis]
     return found.reshape(counts)
