@@ -286,19 +286,15 @@ def build_parser() -> argparse.ArgumentParser:
     train.add_argument(
         "--route",
         choices=["on_policy", "ritz"],
-        default="on_policy",
         help="dcdm: errors that the solver leaves, or Ritz vectors as in the source (default: on_policy)",
     )
-    train.add_argument("--model", default="masks", metavar="NAME", help="dcdm: network (default: masks)")
-    train.add_argument("--lanczos", type=_positive, default=1000, metavar="N", help="ritz: steps (default: 1000)")
-    train.add_argument(
-        "--samples", type=_positive, default=20000, metavar="N", help="ritz: right-hand sides (default: 20000)"
-    )
+    train.add_argument("--model", metavar="NAME", help="dcdm: network (default: masks)")
+    train.add_argument("--lanczos", type=_positive, metavar="N", help="ritz: steps (default: 1000)")
+    train.add_argument("--samples", type=_positive, metavar="N", help="ritz: right-hand sides (default: 20000)")
     train.add_argument("--start", type=Path, metavar="FILE", help="weights to start from (default: random ones)")
     train.add_argument(
         "--precision",
         choices=["float32", "bfloat16"],
-        default="float32",
         help="dcdm: of the network in training (default: float32)",
     )
     train.add_argument(
@@ -569,6 +565,9 @@ mixed: a substep of the alternating scheme, one iteration of the converged one, 
 pbng: sweeps over the nodes, growth with the mesh, the way to a tolerance beside Newton's method, equal budgets.
 xpbd: sweeps over the cells, what they reach at given stiffness numbers, beside other codes.
 poisson: solvers of the pressure of flows, on boxes of 32^3 to 256^3 voxels, with a plot of residuals for each scene.
+dcdm: deep conjugate directions at growing resolution, by kept directions and by network, and on steps of the heat
+  equation, beside classical solvers.
+mpm: material points a second in explicit steps, growth with their number, beside a kernel in Taichi.
 FEMDEFORM_BENCH_ONLY="growth; twist, newton" runs only cases with such a text in the name that they are shown with, of
   poisson's "64^3, plume" or ": mg"; "64^3, ; not dcdm; not : cg" runs all on that grid without these two solvers.
   FEMDEFORM_BENCH_CELLS=N makes all bodies blocks of N cells an edge, all grids N^3 voxels.
@@ -638,12 +637,14 @@ def _train(arguments: argparse.Namespace) -> int:
     out = arguments.out or Path("results") / f"train-{kind}-{dim}d"
     registry.resolve(registry.TRAIN["threads"])(arguments.threads)
     command = shlex.join(["femdeform", *(word for word in sys.argv[1:] if word != "--resume")])
+    given = {name: told[name] for name in names if told[name] is not None}
     for path in train(
-        settings(kind, out, **{name: told[name] for name in names}),
+        settings(kind, out, **given),
         arguments.name or f"{kind}-{dim}d",
         command,
         arguments.resume,
         arguments.quiet,
+        given,
     ):
         print(path)
     return 0

@@ -64,6 +64,9 @@ BENCHMARKS: dict[str, str] = {
     "run": "verification.benchmarks.run:run_benchmarks",
 }
 
+# Says what is wrong with the weights that a pressure solver names.
+WEIGHTS_FAULT = "solvers.linear.poisson.make:weights_fault"
+
 TRAIN: dict[str, str] = {
     "settings": "solvers.linear.poisson.training.settings:TrainingSettings",
     "run": "solvers.linear.poisson.training.command:train_command",

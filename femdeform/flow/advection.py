@@ -14,6 +14,12 @@ from femdeform.jit import njit, prange
 
 
 @njit
+def _held(x: Any, n: Any) -> Any:
+    """A coordinate in voxels that stays in the grid."""
+    return min(max(x, 0.0), n)
+
+
+@njit
 def _corner(x: Any, n: Any) -> Any:
     """First of the two values around a coordinate, and the part of the second; clamped to the values there are."""
     if n == 1:
@@ -59,28 +65,32 @@ def departure(u: Any, v: Any, w: Any, step: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @njit(parallel=True)
-def advect_component(u: Any, v: Any, w: Any, f: Any, axis: Any, step: Any, out: Any) -> None:
+def advect_component(u: Any, v: Any, w: Any, around: Any, axis: Any, step: Any, out: Any) -> None:
     """Write one component, carried along by the velocity, to `out`.
+
+    What comes from outside of the grid is what `around` has on the side next to it.
 
     Parameters
     ----------
     u, v, w : (nx + 1, ny, nz), (nx, ny + 1, nz), (nx, ny, nz + 1) float64
         Velocity on faces [m/s].
-    f : like u, v or w
-        What is carried, the component along `axis`.
+    around : u, v or w
+        What is carried, the component along `axis`, with a layer around it; see `femdeform.flow.inlets.surrounded`.
     axis : int
         0, 1 or 2.
     step : float
         dt / h [s/m].
-    out : like f
+    out : like u, v or w
         Values a step later.
     """
     ox, oy, oz = 0.5 * (axis != 0), 0.5 * (axis != 1), 0.5 * (axis != 2)
-    for i in prange(f.shape[0]):
-        for j in range(f.shape[1]):
-            for k in range(f.shape[2]):
+    nx, ny, nz = u.shape[0] - 1.0, v.shape[1] - 1.0, w.shape[2] - 1.0
+    for i in prange(out.shape[0]):
+        for j in range(out.shape[1]):
+            for k in range(out.shape[2]):
                 x, y, z = departure(u, v, w, step, i + ox, j + oy, k + oz)
-                out[i, j, k] = sample(f, x - ox, y - oy, z - oz)
+                x, y, z = _held(x, nx), _held(y, ny), _held(z, nz)
+                out[i, j, k] = sample(around, x - ox + 1.0, y - oy + 1.0, z - oz + 1.0)
 
 
 @njit
@@ -102,27 +112,30 @@ def _sample_outside_of_solids(f: Any, solid: Any, x: Any, y: Any, z: Any) -> Any
 
 
 @njit(parallel=True)
-def advect_scalar(u: Any, v: Any, w: Any, f: Any, solid: Any, step: Any, out: Any) -> None:
+def advect_scalar(u: Any, v: Any, w: Any, around: Any, solid: Any, step: Any, out: Any) -> None:
     """Write a scalar at the centres, carried along by the velocity, to `out`; solids hold none and lend none.
 
     Parameters
     ----------
     u, v, w : (nx + 1, ny, nz), (nx, ny + 1, nz), (nx, ny, nz + 1) float64
         Velocity on faces [m/s].
-    f : (nx, ny, nz) float64
-        What is carried.
-    solid : (nx, ny, nz) bool
-        Voxels that are solid.
+    around : (nx + 2, ny + 2, nz + 2) float64
+        What is carried, with a layer around it; in two dimensions (nx + 2, ny + 2, 1).
+    solid : like `around`, bool
+        Voxels that are solid, with their layer.
     step : float
         dt / h [s/m].
     out : (nx, ny, nz) float64
         Values a step later, zero in solids.
     """
-    for i in prange(f.shape[0]):
-        for j in range(f.shape[1]):
-            for k in range(f.shape[2]):
-                if solid[i, j, k]:
+    nx, ny, nz = out.shape
+    layer = (solid.shape[2] - nz) // 2
+    for i in prange(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if solid[i + 1, j + 1, k + layer]:
                     out[i, j, k] = 0.0
                 else:
                     x, y, z = departure(u, v, w, step, i + 0.5, j + 0.5, k + 0.5)
-                    out[i, j, k] = _sample_outside_of_solids(f, solid, x - 0.5, y - 0.5, z - 0.5)
+                    x, y, z = _held(x, nx), _held(y, ny), _held(z, nz)
+                    out[i, j, k] = _sample_outside_of_solids(around, solid, x + 0.5, y + 0.5, z + 0.5)

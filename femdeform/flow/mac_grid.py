@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from femdeform.flow.advection import advect_component, advect_scalar
+from femdeform.flow.inlets import Inlet, surrounded
 from femdeform.flow.pressure_system import AIR, SOLID, GridArray, PressureSystem
 from femdeform.types import FloatArray
 
@@ -123,24 +124,27 @@ class MACGrid:
         return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1)[..., : self.dim]
 
     def largest_speed(self) -> float:
-        """Largest velocity component on a face [m/s]."""
-        return max(float(np.abs(component).max(initial=0.0)) for component in self.velocity)
+        """Largest velocity component on a face [m/s]; no number where one of them is none."""
+        return float(np.max([np.abs(component).max(initial=0.0) for component in self.velocity]))
 
     # ----------------------------------------------------------------------------------------- advection
 
-    def advect(self, dt: float) -> None:
-        """Carry the velocity along with itself over a step [s]."""
+    def advect(self, dt: float, inlets: Sequence[Inlet] = ()) -> None:
+        """Carry the velocity along with itself over a step [s]; what comes in through inlets has their velocity."""
         u, v, w = self.velocity
         for axis in range(self.dim):
-            advect_component(u, v, w, self.velocity[axis], axis, dt / self.spacing, self._moved[axis])
+            around = surrounded(self.velocity[axis], self.dim, axis, inlets)
+            advect_component(u, v, w, around, axis, dt / self.spacing, self._moved[axis])
         for axis in range(self.dim):
             self.velocity[axis], self._moved[axis] = self._moved[axis], self.velocity[axis]
 
-    def carry(self, field: FloatArray, solid: NDArray[np.bool_], dt: float) -> FloatArray:
-        """Return a field at the centres (nx, ny, nz), carried along over a step [s]; zero in solids."""
+    def carry(self, field: FloatArray, solid: NDArray[np.bool_], dt: float, inlets: Sequence[Inlet] = ()) -> FloatArray:
+        """Return the smoke (nx, ny, nz), carried along over a step [s], with what has come through inlets; zero in
+        solids."""
         u, v, w = self.velocity
         out = np.empty_like(field)
-        advect_scalar(u, v, w, field, solid, dt / self.spacing, out)
+        around = surrounded(field, self.dim, None, inlets)
+        advect_scalar(u, v, w, around, surrounded(solid, self.dim), dt / self.spacing, out)
         return out
 
     # ----------------------------------------------------------------------------------------- projection

@@ -49,6 +49,11 @@ class PressureSystem:
     References
     ----------
     R. Bridson, Fluid Simulation for Computer Graphics (2015), chapter 5.
+
+    Limitations
+    -----------
+    Faces are open or closed as a whole: no cut cells. Voxels are cubes of one size, the fluid has one density.
+    Air begins at the centre of its voxel, whatever the surface.
     """
 
     def __init__(self, labels: NDArray[np.uint8]) -> None:

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from femdeform import registry
-from femdeform.errors import InputError
+from femdeform.errors import InputError, NotConvergedError
 from femdeform.flow.curl import vorticity
 from femdeform.flow.mac_grid import ProjectionReport
 from femdeform.run.checkpoint import START_ANEW
 from femdeform.run.course import Columns, Fields, FrameData
 from femdeform.run.expectations import crossing_verdicts, largest_of, measured_verdicts, verdict
 from femdeform.run.flow_quantities import FlowMeter, FlowState, at_centres, kinetic_energy, smoke
-from femdeform.run.flow_setup import build_flow
+from femdeform.run.flow_setup import build_flow, walls_behind
 from femdeform.run.inputs import RunInput
 from femdeform.run.vti import VTIWriter
 from femdeform.scene.mesh_files import with_absolute_paths
@@ -51,7 +51,7 @@ class FlowReport:
     Attributes
     ----------
     projections : list of ProjectionReport
-        One for each part of the step.
+        One for each part of the step; none if it was refused.
     reason : str
         Of the solver that failed, or of the last one.
     accepted : bool
@@ -70,7 +70,7 @@ class FlowReport:
     @property
     def relative_residual(self) -> float:
         """Largest residual of a pressure over its right-hand side [-]."""
-        return max(each.relative_residual for each in self.projections)
+        return max((each.relative_residual for each in self.projections), default=float("nan"))
 
     def largest(self, name: str) -> float:
         """Largest value of an attribute of the projections."""
@@ -106,9 +106,13 @@ class FlowCourse:
         self.writer = VTIWriter(grid.shape, grid.spacing, grid.origin.tolist())
         self.start = FlowState(_copies(grid.velocity), self.flow.density, np.zeros(grid.shape))
         self.notices: list[str] = []
-        for name, source in scene.sources.items():
-            if not self.flow.sources[list(scene.sources).index(name)].voxels.any():
-                self.notices.append(f"sources.{name}: no voxel has its centre in {source.region}; there is no smoke")
+        for name, source in zip(scene.sources, self.flow.sources, strict=True):
+            if not source.voxels.any():
+                self.notices.append(f"sources.{name}: no voxel has its centre in its region; there is no smoke")
+            self.notices += [
+                f"sources.{name}: blows from the wall on the {side}, which lets nothing in; `inlets` drive fluid in"
+                for side in walls_behind(scene, source)
+            ]
 
     def step_limit(self, state: FlowState) -> float:
         """Steps are divided where they have to be: there is no limit [s]."""
@@ -118,7 +122,10 @@ class FlowCourse:
         """Try a step."""
         flow = self.flow
         flow.put(state.velocity, state.density, state.time)
-        n = flow.n_substeps(dt)
+        try:
+            n = flow.n_substeps(dt)
+        except NotConvergedError as error:
+            return state, FlowReport([], str(error), False)
         projections = flow.step(dt)
         failed = [each for each in projections if not each.converged]
         finite = all(bool(np.isfinite(each.divergence_after)) for each in projections)
@@ -139,6 +146,8 @@ class FlowCourse:
     def row(self, state: FlowState, report: FlowReport) -> dict[str, float | int | str]:
         """Divergence, energies and what the scene measures."""
         self._log_events(state.step)
+        self.notices += [f"linear_solver: {text}" for text in self._make_solver.notices]
+        self._make_solver.notices.clear()
         grid = self.flow.grid
         self._measured = {f"measure.{name}": value for name, value in self._meter.evaluate(state).items()}
         return {

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from femdeform.flow.inlets import Inlet
 from femdeform.flow.mac_grid import MACGrid, PressureSolver
 from femdeform.flow.pressure_system import PressureSystem
 from femdeform.flow.smoke import MovingSolid, SmokeFlow, Source
 from femdeform.flow.voxels import voxels_inside
 from femdeform.run.closed_surface import closed_surface
-from femdeform.scene.flow_schema import BoxRegion, FlowScene, Region, SolidMotion
+from femdeform.scene.flow_places import SIDES, inlet_faces, inlet_velocity, inside
+from femdeform.scene.flow_schema import FlowScene, SolidMotion
 from femdeform.types import FloatArray, IntArray, Mesh
-
-# Sides of the grid: the axis that crosses them, and which end of it they are.
-_SIDES = {"left": (0, 0), "right": (0, -1), "bottom": (1, 0), "top": (1, -1), "back": (2, 0), "front": (2, -1)}
 
 
 def build_flow(
@@ -49,12 +49,16 @@ def build_flow(
             moving.append(_moving_solid(grid, *surface, block.motion))
     sources = [
         Source(
-            _voxels_of(source.region, grid),
+            inside(source.region, grid.centres()),
             source.density,
             source.velocity,
             np.inf if source.end is None else source.end,
         )
         for source in scene.sources.values()
+    ]
+    inlets = [
+        Inlet(*SIDES[inlet.side], inlet_faces(scene, inlet), inlet_velocity(scene, inlet), inlet.density)
+        for inlet in scene.inlets.values()
     ]
     return SmokeFlow(
         grid,
@@ -64,26 +68,31 @@ def build_flow(
         scene.buoyancy,
         sources,
         moving,
+        inlets,
         scene.linear_solver.tolerance,
         scene.linear_solver.max_iterations,
     )
 
 
+def walls_behind(scene: FlowScene, source: Source) -> list[str]:
+    """Sides of the grid that are walls, beside which a source blows away from them."""
+    if source.velocity is None:
+        return []
+    return [
+        side
+        for side, (axis, end) in list(SIDES.items())[: 2 * scene.dim]
+        if getattr(scene.boundaries, side) == "wall"
+        and np.moveaxis(source.voxels, axis, 0)[end].any()
+        and source.velocity[axis] * (1.0 if end == 0 else -1.0) > 0.0
+    ]
+
+
 def _air(scene: FlowScene, grid: MACGrid) -> NDArray[np.bool_]:
     air = np.zeros(grid.shape, dtype=bool)
-    for side, (axis, end) in _SIDES.items():
+    for side, (axis, end) in SIDES.items():
         if axis < grid.dim and getattr(scene.boundaries, side) == "open":
             np.moveaxis(air, axis, 0)[end] = True
     return air
-
-
-def _voxels_of(region: Region, grid: MACGrid) -> NDArray[np.bool_]:
-    centres = grid.centres()
-    if isinstance(region, BoxRegion):
-        low, high = (np.array(corner) for corner in region.box)
-        return np.asarray(((centres >= low) & (centres <= high)).all(axis=-1))
-    offset = centres - np.array(region.sphere.center)
-    return np.asarray((offset**2).sum(axis=-1) <= region.sphere.radius**2)
 
 
 def _moving_solid(grid: MACGrid, points: FloatArray, facets: IntArray, motion: SolidMotion) -> MovingSolid:
@@ -96,6 +105,7 @@ def _moving_solid(grid: MACGrid, points: FloatArray, facets: IntArray, motion: S
     cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     spin = motion.rate * cross[:dim, :dim]
 
+    @lru_cache(maxsize=2)  # asked for several times in a step
     def voxels(time: float) -> NDArray[np.bool_]:
         angle = motion.rate * time
         # Rodrigues' formula; in the plane its upper left part.

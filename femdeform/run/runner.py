@@ -142,6 +142,7 @@ class _Run:
         self.course: Course[Any, Any] = registry.resolve(registry.COURSES[self.scene.simulation])(given, comm)
         self.n_frames = 0
         self.n_failures = 0
+        self.n_told = 0
         self.limited_dt = 0.0
         scene_time = self.scene.time
         on_failure = self.scene.on_failure
@@ -192,8 +193,9 @@ class _Run:
         if self.comm is not None:
             # Ranks have to stop at the same step; the launcher may lack the patience to wait for that.
             self.interrupts.hold(self._mark_interrupted)
-        for text in [*self.loaded.notices, *self.course.notices]:
+        for text in self.loaded.notices:
             self.progress.notice(f"note: {text}")
+        self._tell_notices()
         if self.recorder is not None:
             self.recorder.start(self._resolved(), self._facts())
             for text in self.course.write_beside(self.folder):
@@ -246,6 +248,7 @@ class _Run:
             **self.course.row(state, report),
         }
         self.n_failures = 0
+        self._tell_notices()
         if self.recorder is not None:
             self.recorder.step(row)
         if state.step % self.scene.output.every == 0 or self.control.is_done(state.time):
@@ -255,6 +258,12 @@ class _Run:
             self._save(state)
         self.progress.advance(state.step, state.time, report.relative_residual, report.iterations)
         self.step_begin = time.perf_counter()
+
+    def _tell_notices(self) -> None:
+        """Say what the course has noticed since it was asked last."""
+        for text in self.course.notices[self.n_told :]:
+            self.progress.notice(f"note: {text}")
+        self.n_told = len(self.course.notices)
 
     def _on_failure(self, state: Moment, report: StepReport, dt: float, retry: bool) -> None:
         self.n_failures += 1

@@ -39,7 +39,7 @@ def check_loaded(loaded: LoadedScene, meshes: Mapping[str, Mesh], coarse: Iterab
     The notices of the scene get a line for each thing about its places at the start that is odd.
     """
     if loaded.scene.simulation == "incompressible_flow":
-        findings = flow_findings(loaded.scene, meshes)
+        findings = flow_findings(loaded.scene, meshes, loaded.base_dir)
         return sort_faults(loaded.fault(finding.path, finding.message) for finding in findings)
     if loaded.scene.simulation == "material_points":
         wrong = [loaded.fault(finding.path, finding.message) for finding in point_findings(loaded.scene, meshes)]

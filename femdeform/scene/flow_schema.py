@@ -26,6 +26,7 @@ from femdeform.scene.schema import OnFailure, TimeStepping
 from femdeform.scene.selection_schema import check_corners
 
 Side = Literal["wall", "open"]
+SideName = Literal["left", "right", "bottom", "top", "back", "front"]
 
 
 class VoxelGrid(SceneModel):
@@ -91,8 +92,24 @@ class FlowSolid(SceneModel):
 class SmokeSource(SceneModel):
     region: Region = Field(description="voxels with their centre inside give off smoke")
     density: NonNegative = Field(default=1.0, description="density of smoke there [-]")
-    velocity: Vector | None = Field(default=None, description="velocity there [m/s]; default: that of the flow")
+    velocity: Vector | None = Field(
+        default=None,
+        description="velocity given to the fluid there before each projection, which stirs it [m/s]; default: that of "
+        "the flow. Fluid enters through `inlets` only",
+    )
     end: Positive | None = Field(default=None, description="time at which it stops [s]; default: never")
+
+
+class Inlet(SceneModel):
+    side: SideName = Field(description="side of the grid that it is in, which has to be a wall beside it")
+    region: Region | None = Field(
+        default=None, description="faces of that side with their centre inside belong to it; default: the whole side"
+    )
+    velocity: Finite | Vector = Field(
+        description="velocity on those faces: speed into the grid, at right angles to the side, or a vector; fluid is "
+        "drawn out where it points outwards [m/s]"
+    )
+    density: NonNegative = Field(default=0.0, description="density of smoke in what comes in [-]")
 
 
 class FlowTime(TimeStepping):
@@ -159,6 +176,7 @@ class FlowScene(SceneModel):
     boundaries: FlowBoundaries = Field(default=FlowBoundaries(), description="the sides of the grid")
     solids: dict[Name, FlowSolid] = Field(default_factory=dict, description="solids in the flow, by name")
     sources: dict[Name, SmokeSource] = Field(default_factory=dict, description="where smoke comes from, by name")
+    inlets: dict[Name, Inlet] = Field(default_factory=dict, description="where fluid is driven in, by name")
     density: Positive = Field(
         default=1.0, description="density of the fluid, which only energies and pressures need [kg/m^3]"
     )

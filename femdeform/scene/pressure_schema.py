@@ -63,7 +63,8 @@ class _LearnedPressureModel(_PressureModel):
     compare_times: bool = Field(
         default=False,
         description="whether every 50th solve is made with multigrid too, and the slower solver is put aside until the "
-        "next; results then depend on how fast the machine was",
+        "next; results then depend on how fast the machine was, and a resumed run may differ from an unbroken one in "
+        "the last digits, which is why it has to be asked for",
     )
 
     @model_validator(mode="after")

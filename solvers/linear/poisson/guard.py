@@ -115,6 +115,14 @@ class Guarded:
         Makes what goes on; called once, when it is needed.
     events : list of str
         Gets a line each time.
+
+    References
+    ----------
+    None: rules of thumb, measured by `femdeform bench dcdm`.
+
+    Limitations
+    -----------
+    What the first solver did until it was stopped is lost time. Its limits are fixed numbers, whatever the domain.
     """
 
     def __init__(
@@ -171,6 +179,15 @@ class SpeedRule:
     ----------
     events : list of str
         Gets a line when the choice changes.
+
+    References
+    ----------
+    None: a stopwatch.
+
+    Limitations
+    -----------
+    Times depend on what else the machine does, so the choice, and with it the last digits of a run, cannot be repeated;
+    a resumed run chooses anew.
     """
 
     events: list[str] = field(default_factory=list)
@@ -200,6 +217,14 @@ class FasterOf:
         Make the solvers; called when they are needed, and for each comparison, which counts their set-up.
     rule : SpeedRule
         Lives longer than one system.
+
+    References
+    ----------
+    None: see `SpeedRule`.
+
+    Limitations
+    -----------
+    A comparison costs a solve and the set-up of both; the first one costs two of each. As those of `SpeedRule`.
     """
 
     def __init__(
@@ -244,3 +269,80 @@ class FasterOf:
         self._made[True] = kept
         self._rule.take(seconds[True], seconds[False], answers[True].converged)
         return answers[self._rule.is_learned]
+
+
+@dataclass
+class SlowNotice:
+    """Measures once whether multigrid is the faster one, and says so; who answers does not change.
+
+    Attributes
+    ----------
+    notices : list of str
+        Gets a line if the learned solver took longer.
+    solves : int
+        Solves so far; the second one is measured, as the first one compiles kernels.
+    """
+
+    notices: list[str] = field(default_factory=list)
+    solves: int = 0
+
+    def is_due(self) -> bool:
+        """Whether this solve is measured; counts it."""
+        self.solves += 1
+        return self.solves == 2
+
+    def take(self, name: str, learned: float, classical: float) -> None:
+        """Say what the times [s] of a solve mean."""
+        if learned > classical:
+            self.notices.append(
+                f"{name} took {learned:.2g} s for a pressure, multigrid {classical:.2g} s (measured once): method "
+                "mg_pcg is the faster one here, and compare_times: true would put the slower one aside"
+            )
+
+
+class Noticed:
+    """A learned solver beside which multigrid is measured once, without set-up; see `SlowNotice` and `PoissonSolver`.
+
+    Parameters
+    ----------
+    solver : PoissonSolver
+    make_classical : callable
+        Makes multigrid for the same system, when it is measured.
+    rule : SlowNotice
+        Lives longer than one system.
+
+    References
+    ----------
+    None: a stopwatch.
+
+    Limitations
+    -----------
+    One solve says little about the next ones, and less on a machine that does other things.
+    """
+
+    def __init__(self, solver: PoissonSolver, make_classical: Callable[[], PoissonSolver], rule: SlowNotice) -> None:
+        self._solver, self._make_classical, self._rule = solver, make_classical, rule
+
+    @property
+    def name(self) -> str:
+        """Of the learned solver."""
+        return self._solver.name
+
+    def destroy(self) -> None:
+        """Free what the learned solver holds."""
+        self._solver.destroy()
+
+    def solve(self, b: GridArray, tolerance: float, max_iterations: int, x: GridArray | None = None) -> PoissonResult:
+        """Solve A x = b; see `PoissonSolver`."""
+        start = time.perf_counter()
+        answer = self._solver.solve(b, tolerance, max_iterations, x)
+        learned = time.perf_counter() - start
+        if self._rule.is_due():
+            classical = self._make_classical()
+            classical.solve(b, tolerance, max_iterations, x)  # compiles kernels
+            start = time.perf_counter()
+            is_answer = classical.solve(b, tolerance, max_iterations, x).converged
+            seconds = time.perf_counter() - start
+            classical.destroy()
+            self._rule.take(self.name, learned, seconds if is_answer else math.inf)
+        return answer

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from femdeform.errors import InputError
 from femdeform.flow.pressure_system import PressureSystem
 from femdeform.scene import pressure_schema as schema
 from solvers.linear.poisson.conjugate_gradients import ConjugateGradients
 from solvers.linear.poisson.deflation import DeflatedConjugateGradients
-from solvers.linear.poisson.guard import MULTIGRID_LIMITS, FasterOf, Guarded, SpeedRule
+from solvers.linear.poisson.guard import MULTIGRID_LIMITS, FasterOf, Guarded, Noticed, SlowNotice, SpeedRule
 from solvers.linear.poisson.incomplete_cholesky import MODIFIED, IncompleteCholesky
 from solvers.linear.poisson.interface import PoissonSolver
 from solvers.linear.poisson.make_learned import make_learned_solver
@@ -33,18 +34,22 @@ class PressureSolverMaker:
     ----------
     events : list of str
         A line for each time that a learned solver was stopped or put aside.
+    notices : list of str
+        A line where a learned solver is used though multigrid is the faster one.
     """
 
     def __init__(self, options: schema.PressureSolver, folder: Path) -> None:
         self._options = options
         self._folder = folder
         self.events: list[str] = []
+        self.notices: list[str] = []
         self._weights: Weights | None = None
         self.reset()
 
     def reset(self) -> None:
         """Forget which solver was the faster one, and what was said of the weights."""
         self._rule = SpeedRule(self.events)
+        self._slow = SlowNotice(self.notices)
         self._refused = ""
 
     def __call__(self, system: PressureSystem) -> PoissonSolver:
@@ -73,7 +78,12 @@ class PressureSolverMaker:
 
         if options.fallback != "none" and self._refuses(system, weights):
             return multigrid()
-        return FasterOf(learned, multigrid, self._rule) if options.compare_times else learned()
+        if options.compare_times:
+            return FasterOf(learned, multigrid, self._rule)
+        if options.fallback == "none":
+            return learned()
+        # Not the fallback itself, whose events are those of the run.
+        return Noticed(learned(), lambda: make_fallback(system, []), self._slow)
 
     def _refuses(self, system: PressureSystem, weights: Weights) -> bool:
         """Whether the weights are not for this grid; says so when that, or the reason, changes."""
@@ -89,6 +99,15 @@ class PressureSolverMaker:
 def weights_path(name: str | None, folder: Path) -> str | None:
     """A file of weights as seen from `folder`; names stay as they are."""
     return str((folder / name).resolve()) if name is not None and name.endswith(".npz") else name
+
+
+def weights_fault(options: schema.LearnedPressureSolver, folder: Path, dim: int) -> str:
+    """What is wrong with the weights that a scene in `folder` names for a grid; empty if they can be used."""
+    try:
+        load_weights(weights_path(options.weights, folder), options.method, dim)
+    except InputError as error:
+        return str(error).removeprefix("linear_solver.weights: ").removeprefix("linear_solver: ")
+    return ""
 
 
 def make_fallback(system: PressureSystem, events: list[str]) -> PoissonSolver:

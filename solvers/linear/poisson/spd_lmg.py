@@ -90,6 +90,9 @@ class LearnedMultigrid:
         self.system = system
         self.sweeps = sweeps
         levels = make_levels(system, EvenSurface(system), dtype)
+        # Where fluid is scattered in parts of a coarse voxel that level has no unknowns, and nothing to adapt to.
+        used = [level for level in levels if level.diagonal.any()]
+        levels = used or levels[:1]
         self.coarsest = levels[-1]
         self.learned: list[_Learned] = []
         for k, (level, coarse) in enumerate(itertools.pairwise(levels)):

@@ -80,9 +80,10 @@ def test_a_result_folder(tmp_path: Path) -> None:
 
 
 def test_resumed_as_if_unbroken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also with a solid that moves, whose voxels are made anew from the time."""
+    """Also with a solid that moves, whose voxels are made anew from the time, and an inlet."""
+    inlets = {"wind": {"side": "left", "region": {"box": [[0, 0.5], [0, 1]]}, "velocity": [0.3, 0.1], "density": 0.5}}
     solids = {"box": {"mesh": SQUARE, "motion": {"rate": 3.0, "velocity": [0.0, 0.2]}}}
-    more = {"solids": solids, "boundaries": {"top": "open"}, "output": {"checkpoint_every": 4}}
+    more = {"solids": solids, "inlets": inlets, "boundaries": {"top": "open"}, "output": {"checkpoint_every": 4}}
     whole = run(tmp_path, "whole", **more)
 
     class StopError(Exception):
@@ -117,6 +118,47 @@ def test_smoke_leaves_through_an_open_top(tmp_path: Path) -> None:
     closed = facts(run(tmp_path, "closed", **more))["quantities"]["smoke"]
     opened = facts(run(tmp_path, "open", boundaries={"top": "open"}, **more))["quantities"]["smoke"]
     assert opened < 0.8 * closed
+
+
+def test_an_inlet_drives_fluid_through_the_box(tmp_path: Path) -> None:
+    inlets = {"wind": {"side": "left", "velocity": 0.5, "density": 0.25}}
+    more: dict[str, Any] = {
+        "sources": {},
+        "measure": {"speed": {"kind": "velocity", "at": [0.5, 0.5], "component": "x"}},
+    }
+    out = run(tmp_path, inlets=inlets, boundaries={"right": "open"}, time={"dt": 0.1, "end": 1.0}, buoyancy=0.0, **more)
+    quantities = facts(out)["quantities"]
+    assert quantities["measure.speed"] == pytest.approx(0.5, rel=1e-6)
+    assert quantities["smoke"] == pytest.approx(0.25 * 0.5 * 0.9 * 1.25, rel=0.03)
+
+
+def test_a_source_at_a_wall_is_told_from_an_inlet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = {"region": {"box": [[0, 0.4], [0.1, 0.6]]}, "velocity": [0.5, 0.0]}
+    path = written(plume(sources={"jet": source}, time={"dt": 0.05, "end": 0.05}), tmp_path / "s.yaml")
+    assert run_scene(path, out=tmp_path / "out", threads=1) == 0
+    assert "sources.jet: blows from the wall on the left, which lets nothing in" in capsys.readouterr().err
+
+
+def test_notices_of_solves_are_told_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from solvers.linear.poisson.guard import SlowNotice
+
+    take = SlowNotice.take
+    monkeypatch.setattr(SlowNotice, "take", lambda self, name, learned, classical: take(self, name, 2.0, 1.0))
+    path = written(plume(linear_solver={"method": "spd_lmg"}), tmp_path / "s.yaml")
+    assert run_scene(path, out=tmp_path / "out", threads=1) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "linear_solver" in line]
+    assert len(lines) == 1
+    assert "note: linear_solver: spd_lmg took 2 s for a pressure, multigrid 1 s" in lines[0]
+
+
+def test_a_speed_that_no_step_can_follow_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = {**BALL, "velocity": [1e7, 0.0]}
+    path = written(plume(sources={"jet": source}), tmp_path / "s.yaml")
+    assert run_scene(path, out=tmp_path / "out", threads=1) == 3
+    assert facts(tmp_path / "out")["status"] == "not_converged"
+    assert "a source moves with 1e+07 m/s" in capsys.readouterr().err
 
 
 def test_a_solid_keeps_smoke_out_and_drives_the_air(tmp_path: Path) -> None:
@@ -215,6 +257,9 @@ def test_the_resolved_scene_runs_from_anywhere(tmp_path: Path) -> None:
         ({"solids": {"a": {"mesh": SQUARE, "motion": {"axis": [0, 0, 1]}}}}, "in the plane solids turn about z"),
         ({"bodies": {}}, "bodies: not a key of simulation `incompressible_flow`; it belongs to `deformable`"),
         ({"linear_solver": {"method": "mg_pgc"}}, "did you mean `mg_pcg`?"),
+        ({"linear_solver": {"method": "dcdm", "weights": "nope.npz"}}, "linear_solver.weights: cannot read"),
+        ({"linear_solver": {"method": "dcdm", "weights": "nope"}}, "weights: there are no weights named nope; shipped"),
+        ({"linear_solver": {"method": "dcdm", "weights": "spd-lmg-2d"}}, "weights: spd-lmg-2d holds weights of method"),
     ],
 )
 def test_faults_have_their_key(tmp_path: Path, more: dict[str, Any], message: str) -> None:

@@ -17,7 +17,16 @@ from solvers.linear.poisson.dcdm_network import (
     zero_parameters,
 )
 from solvers.linear.poisson.dcdm_operations import CompiledOperations, framed, prepare
-from solvers.linear.poisson.guard import DCDM_LIMITS, FasterOf, Guarded, Limits, SpeedRule, Watchdog
+from solvers.linear.poisson.guard import (
+    DCDM_LIMITS,
+    FasterOf,
+    Guarded,
+    Limits,
+    Noticed,
+    SlowNotice,
+    SpeedRule,
+    Watchdog,
+)
 from solvers.linear.poisson.interface import PoissonResult
 from solvers.linear.poisson.multigrid import Multigrid
 from verification.benchmarks.heat_system import HeatSystem
@@ -257,6 +266,33 @@ def test_the_faster_solver_is_used() -> None:
     rule.take(0.5, 1.0, False)
     assert not rule.is_learned
     assert [rule.is_due() for _ in range(50)].count(True) == 1
+
+
+def test_multigrid_is_measured_once_beside_a_learned_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the second solve; the answer stays that of the learned solver, and only a slower one is told."""
+    from solvers.linear.poisson import guard
+
+    system = domain()
+    b = right_side(system)
+    times: list[float] = []
+    monkeypatch.setattr(guard.time, "perf_counter", lambda: times.pop(0))
+    for classical, count in ((0.5, 1), (2.0, 0)):
+        rule = SlowNotice()
+        made: list[str] = []
+
+        def make(made: list[str] = made) -> ConjugateGradients:
+            made.append("classical")
+            return ConjugateGradients(system, Multigrid(system), "classical")
+
+        solver = Noticed(ConjugateGradients(system, None, "learned"), make, rule)
+        times[:] = [0.0, 1.0, 0.0, 1.0, 0.0, classical, 0.0, 1.0]
+        answers = [solver.solve(b, 1e-6, 500) for _ in range(3)]
+        assert times == []
+        assert made == ["classical"]
+        assert len({answer.iterations for answer in answers}) == 1
+        np.testing.assert_array_equal(answers[0].x, answers[1].x)
+        assert len(rule.notices) == count
+        assert all("learned took 1 s for a pressure, multigrid 0.5 s" in text for text in rule.notices)
 
 
 # ------------------------------------------------------------------------------------------------ the network

@@ -174,3 +174,57 @@ def test_faults_of_the_command(tmp_path: Path) -> None:
     assert main(["train", "dcdm", "--hard", "1.5", "--out", str(tmp_path)]) == 2
     assert main(["train", "dcdm", "--start", str(tmp_path / "none.npz"), "--out", str(tmp_path / "new")]) == 2
     assert main(["train", "dcdm", "--resume", "--cells", "16", "--out", str(tmp_path)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("dcdm --rate -1", "--rate: must be a positive number, not -1"),
+        ("dcdm --rate nan", "--rate: must be a positive number, not nan"),
+        ("spd_lmg --minutes -1", "--minutes: must be a positive number [min], not -1"),
+        ("spd_lmg --minutes inf", "--minutes: must be a positive number [min], not inf"),
+        ("spd_lmg --model masks", "--model: is for dcdm, not for spd_lmg"),
+        ("spd_lmg --route ritz", "--route: is for dcdm"),
+        ("spd_lmg --precision float32", "--precision: is for dcdm"),
+        ("spd_lmg --lanczos 1000", "--lanczos: is for dcdm"),
+        ("spd_lmg --samples 20000", "--samples: is for dcdm"),
+        ("dcdm --samples 20000", "--samples: is for --route ritz"),
+    ],
+)
+def test_options_that_make_no_sense(
+    options: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", *options.split(), "--cells", "16", "--steps", "2", "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("at", [0, 5])
+def test_a_loss_that_is_no_number_ends_the_training(
+    at: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the best weights so far, and the exit code of a solver that failed; validations are told on the way."""
+    from solvers.linear.poisson.training import loop
+    from solvers.linear.poisson.training.learn_lmg import LMGLearner
+
+    monkeypatch.setattr(loop, "MOST_ITERATIONS", 2)
+    loss, count = LMGLearner.loss, [0]
+
+    def broken(self: LMGLearner) -> torch.Tensor:
+        count[0] += 1
+        return loss(self) * (float("nan") if count[0] > at else 1.0)
+
+    monkeypatch.setattr(LMGLearner, "loss", broken)
+    options = ["--cells", "16", "--steps", "8", "--batch", "2", "--validations", "4", "--name", "made"]
+    assert main(["train", "spd_lmg", *options, "--out", str(tmp_path)]) == 3
+    err = capsys.readouterr().err
+    assert f"the loss was no finite number in step {at + 1}" in err
+    card = (tmp_path / "made.md").read_text()
+    assert f"ended early: the loss was no finite number in step {at + 1}" in card
+    # Two iterations are too few for all of them; what is beyond is not told as if it were measured.
+    assert "over 2 iterations at the start, over 2 at step" in card
+    lines = [line for line in err.splitlines() if line.startswith("step ")]
+    assert [line.split(":")[0] for line in lines] == [f"step {k} of 8" for k in (1, 2, 4)[: 3 if at else 0]]
+    assert all("validation over 2 iterations" in line for line in lines)
+    weights = load_weights(str(tmp_path / "made.npz"), "spd_lmg", 2)
+    assert all(np.all(np.isfinite(values)) for values in weights.parameters.values())

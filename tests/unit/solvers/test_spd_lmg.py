@@ -80,6 +80,26 @@ def test_it_is_symmetric_and_positive_definite_for_any_parameters(domain: str, s
     assert values[0] > 1e-12 * scale
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_levels_without_unknowns(dim: int) -> None:
+    """Pairs of fluid voxels, each inside of a coarse voxel, which has no unknown then; and solids all over."""
+    labels = np.full([8] * dim, SOLID, dtype=np.uint8)
+    labels[(slice(0, None, 4), *[slice(0, None, 4)] * (dim - 1))] = FLUID
+    labels[(slice(1, None, 4), *[slice(0, None, 4)] * (dim - 1))] = FLUID
+    system = PressureSystem(labels)
+    assert system.n_closed == 2**dim
+    b = system.extend(np.random.default_rng(0).standard_normal(system.n_unknowns))
+    system.project(b)
+    cycle = LearnedMultigrid(system, random_parameters(dim, 0), 1, np.float64)
+    answer = ConjugateGradients(system, cycle, "spd_lmg").solve(b, 1e-10, 50)
+    assert answer.converged, answer.reason
+    nothing = PressureSystem(np.full([8] * dim, SOLID, dtype=np.uint8))
+    cycle = LearnedMultigrid(nothing, random_parameters(dim, 0))
+    z = nothing.new_field()
+    cycle.apply(nothing.new_field(), z)
+    assert np.all(z == 0.0)
+
+
 @pytest.mark.parametrize("domain", DOMAINS)
 def test_symmetry_in_single_precision(domain: str) -> None:
     system = PressureSystem(DOMAINS[domain]())

@@ -80,6 +80,8 @@ class Progress:
         Parameters at the start, and those of the validation with the fewest iterations.
     commit : str
         Of the source that began to train, where it lies in a repository.
+    fault : str
+        Why it ended before its time, if something went wrong.
     """
 
     step: int = 0
@@ -89,6 +91,7 @@ class Progress:
     start: dict[str, NDArray[Any]] = field(default_factory=dict)
     best: dict[str, NDArray[Any]] = field(default_factory=dict)
     commit: str = field(default_factory=_commit)
+    fault: str = ""
 
     @property
     def best_step(self) -> int:
@@ -111,6 +114,11 @@ def run_training(
         Go on from the checkpoint in the folder.
     tell : callable
         Called after each step.
+
+    Returns
+    -------
+    Progress
+        With a `fault` where a loss or its gradient was no finite number; that step is not taken.
 
     Raises
     ------
@@ -135,7 +143,11 @@ def run_training(
         loss = learner.loss()
         optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(list(learner.parameters.values()), _CLIP)
+        size = float(torch.nn.utils.clip_grad_norm_(list(learner.parameters.values()), _CLIP))
+        if not (math.isfinite(float(loss.detach())) and math.isfinite(size)):
+            what = "the gradient of the loss" if math.isfinite(float(loss.detach())) else "the loss"
+            progress.fault = f"{what} was no finite number in step {progress.step + 1}"
+            break
         optimizer.step()
         schedule.step()
         progress.step += 1
@@ -181,6 +193,11 @@ def fractional_iterations(residuals: list[float], tolerance: float) -> float:
         return float(target / slope) if np.isfinite(slope) else float(1e3 * MOST_ITERATIONS)
     k = int(below[0])
     return float(k - 1 + (target - logs[k - 1]) / (logs[k] - logs[k - 1])) if k else 0.0
+
+
+def told_iterations(iterations: float) -> str:
+    """Iterations of a validation, which ends at some number of them: what lies beyond was not measured."""
+    return f"over {MOST_ITERATIONS}" if iterations > MOST_ITERATIONS else f"{iterations:.2f}"
 
 
 def _validate(learner: Learner, systems: list[PressureSystem], progress: Progress) -> None:

@@ -21,7 +21,14 @@ from solvers.linear.poisson.training.domains import (
     porous_labels,
     smooth_divergence,
 )
-from solvers.linear.poisson.training.loop import MOST_ITERATIONS, TOLERANCE, Learner, Progress, validation_systems
+from solvers.linear.poisson.training.loop import (
+    MOST_ITERATIONS,
+    TOLERANCE,
+    Learner,
+    Progress,
+    told_iterations,
+    validation_systems,
+)
 from solvers.linear.poisson.training.settings import TrainingSettings
 from solvers.linear.poisson.weights_file import Weights, save_weights
 
@@ -110,9 +117,11 @@ def _facts(settings: TrainingSettings, progress: Progress, command: str, digest:
         "grid": " x ".join(map(str, settings.shape)),
         "steps": f"{progress.step} of {settings.steps}, {settings.batch} samples each, {settings.precision}, "
         f"{progress.seconds:.0f} s",
-        "loss": f"{np.mean(head):.3f} at the start, {np.mean(tail):.3f} at the end",
-        "validation": f"{_told(progress.validations[0][1])} iterations at the start, "
-        f"{min(v for _, v in progress.validations):.2f} at step {progress.best_step}, whose weights these are",
+        "loss": (f"{np.mean(head):.3f} at the start, {np.mean(tail):.3f} at the end" if tail else "of no step")
+        + (f"; ended early: {progress.fault}" if progress.fault else ""),
+        "validation": f"{told_iterations(progress.validations[0][1])} iterations at the start, "
+        f"{told_iterations(min(v for _, v in progress.validations))} at step {progress.best_step}, whose weights these "
+        "are",
         "parameters": sum(values.size for values in progress.best.values()),
         "sha256": f"`{digest}`",
     }
@@ -172,11 +181,6 @@ def _row(label: str, system: PressureSystem, learner: Learner, progress: Progres
         answer = solver.solve(b, TOLERANCE, most)
         counts.append(str(answer.iterations) if answer.converged else f"over {answer.iterations}")
     return f"| {label} | {' | '.join(counts)} |"
-
-
-def _told(iterations: float) -> str:
-    """Iterations of a validation, which ends at some number of them."""
-    return f"over {MOST_ITERATIONS}" if iterations > MOST_ITERATIONS else f"{iterations:.2f}"
 
 
 def _start(path: Path | None) -> str:
