@@ -118,6 +118,38 @@ def test_young_minimises_the_energy_of_a_cap() -> None:
         assert angles[np.argmin(energy)] == pytest.approx(contact_angle(k_sl, 2.0), abs=5e-4)
 
 
+def cap_points(angle: float, spacing: float, shift: Array) -> Array:
+    """Points (n, 3), two a cell and axis, of a cap on the plane y = 0 with the volume of half a unit ball."""
+    cos, gap = np.cos(angle), 0.5 * spacing
+    radius = (2.0 / (2.0 - 3.0 * cos + cos**3)) ** (1.0 / 3.0)
+    across, up = np.arange(-2.0, 2.0, gap), np.arange(0.5 * gap, 2.5, gap)
+    x = np.stack(np.meshgrid(across + shift[0] * gap, up, across + shift[1] * gap, indexing="ij"), -1).reshape(-1, 3)
+    x = x[((x + [0.0, radius * cos, 0.0]) ** 2).sum(axis=1) < radius**2]
+    return np.asarray(x * (2.0 * np.pi / 3.0 / (len(x) * gap**3)) ** (1.0 / 3.0))
+
+
+@pytest.mark.parametrize("degrees", [45.0, 90.0, 135.0])
+def test_sampled_energy_of_a_cap_is_least_at_youngs_angle(degrees: float) -> None:
+    """In space, radii of eight cells: the contour's sides below the wall, which have k_SL too, cost three degrees."""
+    spacing = 1.0 / 8.0
+    wall = Wall(Plane(np.zeros(3), np.array([0.0, 1.0, 0.0])), np.zeros(3), 0.0)
+    tension = SurfaceTension(Constant(2.0), solid_liquid=Constant(solid_liquid_coefficient(np.radians(degrees), 2.0)))
+    angles = degrees + np.linspace(-15.0, 15.0, 7)
+    shifts = np.random.default_rng(0).uniform(-0.5, 0.5, (angles.size, 3, 2))
+    energy = np.zeros(angles.size)
+    for number, angle in enumerate(angles):
+        for seed, shift in enumerate(shifts[number]):
+            x = cap_points(np.radians(angle), spacing, shift)
+            particles = Particles.at(x, np.ones(len(x)), np.ones(len(x)))
+            particles.phase[:] = LIQUID
+            samples = SurfaceSampler(spacing, seed=seed).sample(x, 0)
+            found = surface_coefficients(samples, particles, [tension], wall_distance([wall], samples.points, 0.0))
+            energy[number] += found.k @ samples.measure
+    curve = np.polynomial.Polynomial.fit(angles, energy, 2).deriv()
+    assert curve.deriv()(degrees) > 0.0
+    assert curve.roots()[0] == pytest.approx(degrees, abs=3.5)
+
+
 def test_young_limits() -> None:
     assert contact_angle(5.0, 2.0) == pytest.approx(np.pi)
     with pytest.raises(ValueError, match="film"):
