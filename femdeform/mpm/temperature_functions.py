@@ -1,14 +1,12 @@
-"""Constants of materials and surfaces as functions of temperature and phase."""
+"""Constants of materials and surfaces as functions of temperature."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from femdeform.mpm.particles import LIQUID, Particles
 from femdeform.types import FloatArray
 
 
@@ -108,37 +106,3 @@ class Table:
         for temperature, value in zip(self.temperatures, self.values, strict=True):
             out = np.where((low < temperature) & (temperature < high), np.maximum(out, abs(value)), out)
         return np.asarray(out)
-
-
-@dataclass(frozen=True)
-class ByPhase:
-    """A function for the solid and one for the liquid.
-
-    Attributes
-    ----------
-    solid, liquid : TemperatureFunction
-    """
-
-    solid: TemperatureFunction
-    liquid: TemperatureFunction
-
-    def __call__(self, temperature: FloatArray, phase: np.ndarray[Any, np.dtype[np.int8]]) -> FloatArray:
-        """Values (n,) at temperatures (n,) [K] in phases (n,), see `femdeform.mpm.particles`."""
-        return np.where(phase == LIQUID, self.liquid(temperature), self.solid(temperature))
-
-
-def of_bodies(functions: Sequence[ByPhase], particles: Particles) -> FloatArray:
-    """Values (n,) of material points, each from the function of its body.
-
-    Raises
-    ------
-    ValueError
-        If a body has no function.
-    """
-    if particles.n and int(particles.body.max()) >= len(functions):
-        raise ValueError(f"there are {len(functions)} functions, and a body has number {int(particles.body.max())}")
-    out = np.empty(particles.n)
-    for number, function in enumerate(functions):
-        mine = np.flatnonzero(particles.body == number)
-        out[mine] = function(particles.temperature[mine], particles.phase[mine])
-    return out

@@ -1,4 +1,4 @@
-"""What enters bodies of a scene of material points through their surfaces, and where."""
+"""What enters bodies of a scene of material points, through their surfaces and in their volumes, and where."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
-from femdeform.mpm.heat import HeatBoundary
+from femdeform.mpm.heat import Field, HeatBoundary
 from femdeform.mpm.particles import Particles
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.scene import point_body_schema as schema
@@ -34,9 +34,7 @@ def heat_boundary(
     covered : (n_samples,) bool, optional
         Samples on walls: no air and no flame is there.
     """
-    blocks = [body.heat for body in scene.bodies.values()]
-    assert all(block is not None for block in blocks)
-    heats = [block for block in blocks if block is not None]
+    heats = _heats(scene)
     of_sample = points.body[samples.owner]
     transfer = np.array([heat.transfer for heat in heats])[of_sample]
     ambient = np.array([heat.ambient for heat in heats])[of_sample]
@@ -46,14 +44,50 @@ def heat_boundary(
     def flux(positions: FloatArray, time: float) -> FloatArray:
         values = np.zeros(len(positions))
         for number, heat in enumerate(heats):
-            burns = time > heat.flux_start and (heat.flux_end is None or time <= heat.flux_end)
-            here = bare & (of_sample == number) & burns
+            here = bare & (of_sample == number) & _acts(time, heat.flux_start, heat.flux_end)
             if heat.flux_within is not None:
                 here &= _is_heated(heat.flux_within, positions, time, points.x, scene.grid.cell_size)
             values[here] = heat.flux
         return values
 
     return HeatBoundary(transfer, ambient, flux)
+
+
+def heat_source(scene: PointScene, points: Particles) -> Field:
+    """Heating of the volume at material points [W/m^3]; see `HeatConduction.step`.
+
+    Parameters
+    ----------
+    scene : PointScene
+        Of which all bodies conduct heat.
+    points : Particles
+        Material points as they are.
+    """
+    heats = _heats(scene)
+
+    def source(positions: FloatArray, time: float) -> FloatArray:
+        values = np.zeros(len(positions))
+        for number, heat in enumerate(heats):
+            if heat.source == 0.0:
+                continue
+            here = (points.body == number) & _acts(time, heat.source_start, heat.source_end)
+            if heat.source_within is not None:
+                here &= _is_heated(heat.source_within, positions, time, points.x, scene.grid.cell_size)
+            values[here] = heat.source
+        return values
+
+    return source
+
+
+def _heats(scene: PointScene) -> list[schema.HeatBlock]:
+    blocks = [body.heat for body in scene.bodies.values()]
+    assert all(block is not None for block in blocks)
+    return [block for block in blocks if block is not None]
+
+
+def _acts(time: float, start: float, end: float | None) -> bool:
+    """Whether a heating acts in the step that ends at a time."""
+    return time > start and (end is None or time <= end)
 
 
 def _is_heated(
@@ -63,8 +97,11 @@ def _is_heated(
         offset = positions[:, :2] - np.array(place.center)[:2]
         turn = np.arctan2(offset[:, 1], offset[:, 0]) - place.start - place.rate * time
         return np.asarray(np.abs(np.angle(np.exp(1j * turn))) <= place.half_angle)
-    if isinstance(place, schema.HeatedBox):
-        return np.asarray(((positions >= place.min) & (positions <= place.max)).all(axis=1))
+    if isinstance(place, schema.HeatedBox | schema.HeatedBall):
+        resting = positions if place.velocity is None else positions - time * np.array(place.velocity)
+        if isinstance(place, schema.HeatedBox):
+            return np.asarray(((resting >= place.min) & (resting <= place.max)).all(axis=1))
+        return np.asarray(((resting - place.center) ** 2).sum(axis=1) <= place.radius**2)
     flame = wick_end(place, bodies, spacing)
     if flame is None:
         return np.zeros(len(positions), dtype=bool)

@@ -210,8 +210,8 @@ class PointMeter:
         return float(points.dim * part / ((points.dim - 1) * state.surface_energy) - 1.0)
 
     def _heat(self, points: Particles) -> float:
-        capacity = self._materials.capacity
-        return float("nan") if capacity is None else float((points.mass * capacity[points.body]) @ points.temperature)
+        materials = self._materials
+        return float("nan") if materials.capacity is None else float(points.mass @ materials.enthalpies(points))
 
     def _mean_pressure(self, points: Particles) -> float:
         volumes = np.where(points.phase == LIQUID, current_volumes(points), 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from femdeform.materials import law_for
 from femdeform.mpm.explicit_laws import Laws, Liquid
 from femdeform.mpm.particle_sampling import sample_particles
 from femdeform.mpm.particles import LIQUID, SOLID, Particles
-from femdeform.mpm.phase_change import Melting
+from femdeform.mpm.phase_change import Melting, recover_temperature
 from femdeform.mpm.point_terms import PointMaterials
 from femdeform.mpm.rigid_walls import RigidWall
 from femdeform.mpm.shapes import ClosedSurface, Ellipsoid
@@ -144,6 +144,7 @@ class Materials:
         Young's modulus and Poisson's ratio of solids in which they follow the temperature.
     tensions : list of SurfaceTension or None
     capacity : (n_bodies,) float64, or None without heat
+        Of what melts, that of the solid.
     conductivity : list of TemperatureFunction, or None without heat
     melting : list of Melting or None
     """
@@ -192,6 +193,35 @@ class Materials:
                 moduli[mine, 0] = E / (2.0 * (1.0 + nu))
                 moduli[mine, 1] = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
         return PointMaterials(solids, bulk, viscosity, moduli)
+
+    def capacities(self, particles: Particles) -> FloatArray:
+        """Specific heats (n,) at the temperatures of the points, without latent heat [J/(kg K)]."""
+        assert self.capacity is not None
+        out = self.capacity[particles.body]
+        for mine, melting in self._storing(particles):
+            out[mine] = melting.capacity(particles.temperature[mine])
+        return out
+
+    def enthalpies(self, particles: Particles) -> FloatArray:
+        """Heat (n,) that points hold [J/kg], above 0 K if they were solid down to there."""
+        assert self.capacity is not None
+        out = self.capacity[particles.body] * particles.temperature
+        for mine, melting in self._storing(particles):
+            out[mine] = melting.solid_capacity * melting.solidus + melting.enthalpy(particles.temperature[mine])
+        return out
+
+    def recover_temperatures(self, particles: Particles, before: FloatArray, capacity: FloatArray) -> None:
+        """Temperatures after a step of conduction with specific heats that are those of the temperatures before it."""
+        for mine, melting in self._storing(particles):
+            particles.temperature[mine] = recover_temperature(
+                melting, before[mine], particles.temperature[mine], capacity[mine]
+            )
+
+    def _storing(self, particles: Particles) -> Iterator[tuple[BoolArray, Melting]]:
+        """Points (n,) of bodies whose heat is more than a constant times the temperature."""
+        for number, melting in enumerate(self.melting):
+            if melting is not None and (melting.latent_heat > 0.0 or melting.solid_capacity != melting.liquid_capacity):
+                yield particles.body == number, melting
 
     def conductivities(self, particles: Particles) -> FloatArray:
         """Thermal conductivities (n,) at the temperatures of the points [W/(m K)]."""
@@ -255,7 +285,8 @@ def _melting(body: schema.PointBody) -> Melting:
     assert body.melting is not None
     assert body.heat is not None
     block, capacity = body.melting, body.heat.capacity
-    return Melting(block.solidus, block.liquidus, block.latent_heat, capacity, capacity)
+    liquid_capacity = capacity if block.liquid_capacity is None else block.liquid_capacity
+    return Melting(block.solidus, block.liquidus, block.latent_heat, capacity, liquid_capacity)
 
 
 def _tension(block: schema.SurfaceTensionBlock) -> SurfaceTension:
@@ -272,6 +303,3 @@ def _inside(box: tuple[tuple[float, ...], tuple[float, ...]]) -> Callable[[Float
     return lambda points: np.asarray(((points >= low) & (points <= high)).all(axis=1))
 
 
-def heat_sources(scene: PointScene) -> FloatArray:
-    """Heating of the volume of each body [W/m^3]."""
-    return np.array([0.0 if body.heat is None else body.heat.source for body in scene.bodies.values()])

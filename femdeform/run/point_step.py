@@ -20,7 +20,7 @@ from femdeform.mpm.heat import HeatConduction, HeatReport
 from femdeform.mpm.implicit_step import solve_step
 from femdeform.mpm.node_walls import NodeWall
 from femdeform.mpm.particles import Particles
-from femdeform.mpm.phase_change import change_phase, recover_temperature
+from femdeform.mpm.phase_change import change_phase
 from femdeform.mpm.point_potential import PointPotential
 from femdeform.mpm.point_terms import SurfaceTension
 from femdeform.mpm.rigid_walls import RigidWall
@@ -28,9 +28,9 @@ from femdeform.mpm.surface_coefficient import surface_coefficients, wall_distanc
 from femdeform.mpm.surface_forces import surface_forces
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
-from femdeform.run.heated_places import heat_boundary
+from femdeform.run.heated_places import heat_boundary, heat_source
 from femdeform.run.hull_areas import area_scales
-from femdeform.run.point_setup import Materials, heat_sources, make_materials, make_points, make_walls
+from femdeform.run.point_setup import Materials, make_materials, make_points, make_walls
 from femdeform.scene.point_schema import PointScene
 from femdeform.step_problem import IterationObserver, StepSolver
 from femdeform.types import FloatArray, Mesh
@@ -134,7 +134,6 @@ class PointStep:
             radius = surface.radius if surface.radius is not None else (0.73 if scene.dim == 2 else 0.867)
             offset = (radius - 0.5 / per_axis) * scene.grid.cell_size
         self._heat = HeatConduction(self._grid, heat.quadrature, offset, heat.tolerance)
-        self._sources = heat_sources(scene)
         # Of each body; only what exchanges heat asks for it.
         self._area_scales = np.ones(len(scene.bodies))
         if exchanges:
@@ -208,9 +207,8 @@ class PointStep:
     ) -> HeatReport:
         """Move temperatures on, latent heat included; `stencils` are those of the points where they are at hand."""
         materials = self.materials
-        assert materials.capacity is not None
         before = points.temperature.copy()
-        capacity = materials.capacity[points.body]
+        capacity = materials.capacities(points)
         boundary = None
         samples = None
         if surface is not None:
@@ -225,18 +223,13 @@ class PointStep:
             capacity,
             materials.conductivities(points),
             boundary,
-            self._sources[points.body],
+            heat_source(self.scene, points),
             1.0 if samples is None else self._area_scales[points.body[samples.owner]],
             stencils,
             self._tempered,
         )
         if report.converged:
-            for number, melting in enumerate(materials.melting):
-                if melting is not None and melting.latent_heat > 0.0:
-                    mine = points.body == number
-                    points.temperature[mine] = recover_temperature(
-                        melting, before[mine], points.temperature[mine], capacity[mine]
-                    )
+            materials.recover_temperatures(points, before, capacity)
         return report
 
     def _explicit(

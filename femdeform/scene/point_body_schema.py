@@ -214,7 +214,7 @@ class SurfaceTensionBlock(SceneModel):
 
 
 class MovingArc(SceneModel):
-    """Heating of the surface within a sector that turns about a centre, in the x-y plane."""
+    """Heating within a sector that turns about a centre, in the x-y plane."""
 
     kind: Literal["arc"] = Field(default="arc", description="sector that turns about a centre, in the x-y plane")
     center: Vector = Field(description="centre [m]")
@@ -224,11 +224,18 @@ class MovingArc(SceneModel):
 
 
 class HeatedBox(_Box):
-    pass
+    velocity: Vector | None = Field(default=None, description="velocity; the corners are those at time 0 [m/s]")
+
+
+class HeatedBall(SceneModel):
+    kind: Literal["ball"] = Field(description="ball, a disc in 2D")
+    center: Vector = Field(description="centre at time 0 [m]")
+    radius: Positive = Field(description="radius [m]")
+    velocity: Vector | None = Field(default=None, description="velocity [m/s]")
 
 
 class Wick(SceneModel):
-    """Heating of the surface around the end of a wick: where it comes out of the bodies, so it burns down with them."""
+    """Heating around the end of a wick: where it comes out of the bodies, so it burns down with them."""
 
     kind: Literal["wick"] = Field(description="ball about the place where a spline comes out of the bodies")
     path: list[Vector] = Field(
@@ -246,7 +253,8 @@ class Wick(SceneModel):
 
 
 HeatedPlace = Annotated[
-    Annotated[MovingArc | HeatedBox | Wick, Field(discriminator="kind")], BeforeValidator(default_tag("kind", "arc"))
+    Annotated[MovingArc | HeatedBox | HeatedBall | Wick, Field(discriminator="kind")],
+    BeforeValidator(default_tag("kind", "arc")),
 ]
 
 
@@ -260,13 +268,18 @@ class HeatBlock(SceneModel):
     flux_start: NonNegative = Field(default=0.0, description="time at which the flux begins [s]")
     flux_end: NonNegative | None = Field(default=None, description="time at which it ends [s]; default: never")
     source: Finite = Field(default=0.0, description="heating of the volume [W/m^3]")
+    source_within: HeatedPlace | None = Field(default=None, description="where the source acts; default: everywhere")
+    source_start: NonNegative = Field(default=0.0, description="time at which the source begins [s]")
+    source_end: NonNegative | None = Field(default=None, description="time at which it ends [s]; default: never")
 
     @model_validator(mode="after")
     def _conducts(self) -> HeatBlock:
         if value_range(self.conductivity)[0] < 0.0:
             raise ValueError("conductivity: must not be negative at any temperature")
-        if self.flux_end is not None and self.flux_end <= self.flux_start:
-            raise ValueError(f"flux_end: must be later than flux_start, {self.flux_start:g} [s], not {self.flux_end:g}")
+        times = {"flux": (self.flux_start, self.flux_end), "source": (self.source_start, self.source_end)}
+        for name, (start, end) in times.items():
+            if end is not None and end <= start:
+                raise ValueError(f"{name}_end: must be later than {name}_start, {start:g} [s], not {end:g}")
         return self
 
 
@@ -274,6 +287,11 @@ class MeltingBlock(SceneModel):
     solidus: Finite = Field(description="temperature below which liquid freezes [K]")
     liquidus: Finite = Field(description="temperature above which solid melts, not below solidus [K]")
     latent_heat: NonNegative = Field(default=0.0, description="heat of melting, which needs a band [J/kg]")
+    liquid_capacity: Positive | None = Field(
+        default=None,
+        description="specific heat above liquidus, where `heat.capacity` is that below solidus, and in between their "
+        "mean [J/(kg K)]; default: the same",
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> MeltingBlock:

@@ -37,6 +37,14 @@ def point_findings(scene: PointScene, meshes: Mapping[str, Mesh]) -> Iterator[Fi
     yield from _measure_findings(scene)
 
 
+def _heated_places(scene: PointScene) -> Iterator[tuple[KeyPath, schema.HeatedPlace]]:
+    for name, body in scene.bodies.items():
+        for key in ("flux_within", "source_within"):
+            place = None if body.heat is None else getattr(body.heat, key)
+            if place is not None:
+                yield ("bodies", name, "heat", key), place
+
+
 def _vectors(scene: PointScene) -> Iterator[tuple[KeyPath, Sequence[Any]]]:
     if scene.gravity is not None:
         yield ("gravity",), scene.gravity
@@ -49,19 +57,18 @@ def _vectors(scene: PointScene) -> Iterator[tuple[KeyPath, Sequence[Any]]]:
     shapes: list[tuple[KeyPath, Any]] = [(("bodies", name, "shape"), body.shape) for name, body in scene.bodies.items()]
     for name, body in scene.bodies.items():
         shapes += [(("bodies", name, "without", index), shape) for index, shape in enumerate(body.without)]
-        if body.heat is not None and body.heat.flux_within is not None:
-            shapes.append((("bodies", name, "heat", "flux_within"), body.heat.flux_within))
+    places = list(_heated_places(scene))
+    shapes += places
     shapes += [(("walls", number, "shape"), wall.shape) for number, wall in enumerate(scene.walls)]
     for path, shape in shapes:
-        for key in ("center", "semi_axes", "min", "max", "point", "normal"):
+        for key in ("center", "semi_axes", "min", "max", "point", "normal", "velocity"):
             vector = getattr(shape, key, None)
             if vector is not None:
                 yield (*path, key), vector
-    for name, body in scene.bodies.items():
-        place = None if body.heat is None else body.heat.flux_within
+    for path, place in places:
         if isinstance(place, schema.Wick):
             for index, point in enumerate(place.path):
-                yield ("bodies", name, "heat", "flux_within", "path", index), point
+                yield (*path, "path", index), point
     for number, wall in enumerate(scene.walls):
         if wall.velocity is not None:
             yield ("walls", number, "velocity"), wall.velocity

@@ -124,7 +124,7 @@ def cap_points(angle: float, spacing: float, shift: Array) -> Array:
     radius = (2.0 / (2.0 - 3.0 * cos + cos**3)) ** (1.0 / 3.0)
     across, up = np.arange(-2.0, 2.0, gap), np.arange(0.5 * gap, 2.5, gap)
     x = np.stack(np.meshgrid(across + shift[0] * gap, up, across + shift[1] * gap, indexing="ij"), -1).reshape(-1, 3)
-    x = x[((x + [0.0, radius * cos, 0.0]) ** 2).sum(axis=1) < radius**2]
+    x = x[((x + np.array([0.0, radius * cos, 0.0])) ** 2).sum(axis=1) < radius**2]
     return np.asarray(x * (2.0 * np.pi / 3.0 / (len(x) * gap**3)) ** (1.0 / 3.0))
 
 

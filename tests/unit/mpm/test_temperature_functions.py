@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from femdeform.mpm.particles import LIQUID, Particles
-from femdeform.mpm.temperature_functions import ByPhase, Constant, Linear, Table, of_bodies
+from femdeform.mpm.temperature_functions import Constant, Linear, Table
 
 T = np.array([250.0, 300.0, 350.0, 400.0])
 
@@ -17,17 +16,6 @@ def test_values() -> None:
     np.testing.assert_allclose(Linear(2.0, 0.01, 300.0, lowest=1.8, highest=2.6)(T), [1.8, 2.0, 2.5, 2.6])
     np.testing.assert_allclose(Table((300.0, 400.0), (1.0, 5.0))(T), [1.0, 1.0, 3.0, 5.0])
     np.testing.assert_array_equal(Table((300.0,), (4.0,))(T), 4.0)
-
-
-def test_phase_and_body_choose_the_function() -> None:
-    particles = Particles.at(np.zeros((4, 2)), np.ones(4), np.ones(4))
-    particles.temperature = T.copy()
-    particles.phase[1] = particles.phase[2] = LIQUID
-    particles.body[2:] = 1
-    first, second = ByPhase(Constant(1.0), Linear(0.0, 1.0, 0.0)), ByPhase(Linear(0.0, -1.0, 0.0), Constant(7.0))
-    np.testing.assert_allclose(of_bodies([first, second], particles), [1.0, 300.0, 7.0, -400.0])
-    with pytest.raises(ValueError, match="a body has number 1"):
-        of_bodies([first], particles)
 
 
 def test_bad_input() -> None:

@@ -11,7 +11,7 @@ from femdeform.errors import InputError
 from femdeform.mpm.particles import Particles
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
-from femdeform.run.heated_places import heat_boundary, wick_end
+from femdeform.run.heated_places import heat_boundary, heat_source, wick_end
 from femdeform.run.point_quantities import PointMeter, PointState
 from femdeform.run.point_setup import make_materials, make_points
 from femdeform.scene.point_body_schema import Wick
@@ -54,6 +54,36 @@ def test_a_box_is_heated_and_nothing_else() -> None:
     samples, is_heated = heated(given, make_points(given, {}))
     assert 0.4 < is_heated.mean() < 0.6
     np.testing.assert_array_equal(is_heated, samples.points[:, 0] <= 0.5)
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        ({"kind": "ball", "center": [0.3, 0.4], "radius": 0.1, "velocity": [1.0, 0.0]}, [0.4, 0.4, 0.1]),
+        ({"kind": "ball", "center": [0.3, 0.4], "radius": 0.1}, [0.3, 0.4, 0.1]),
+    ],
+)
+def test_a_ball_may_move(place: dict[str, Any], expected: list[float]) -> None:
+    """As a source in the volume and for flux through the surface alike, at a time of 0.1 s."""
+    *center, radius = expected
+    heat = {"capacity": 1.0, "conductivity": 0.1, "source": 3.0, "source_within": place}
+    given = scene(None, heat=heat)
+    points = make_points(given, {})
+    values = heat_source(given, points)
+    assert callable(values)
+    inside = ((points.x - center) ** 2).sum(axis=1) <= radius**2
+    assert 10 < inside.sum() < points.n
+    np.testing.assert_array_equal(values(points.x, 0.1), np.where(inside, 3.0, 0.0))
+
+
+def test_a_source_begins_and_ends() -> None:
+    heat = {"capacity": 1.0, "conductivity": 0.1, "source": 3.0, "source_start": 0.02, "source_end": 0.04}
+    given = scene(None, heat=heat)
+    points = make_points(given, {})
+    values = heat_source(given, points)
+    assert callable(values)
+    means = [float(np.mean(values(points.x, time))) for time in (0.02, 0.03, 0.04, 0.05)]
+    assert means == [0.0, 3.0, 3.0, 0.0]
 
 
 def test_flux_begins_and_ends() -> None:

@@ -155,6 +155,32 @@ def test_heat_comes_in_and_melts(tmp_path: Path) -> None:
     assert (history["boundary_power"] > 0.0).all()
 
 
+@pytest.mark.parametrize("latent_heat", [0.0, 5.0])
+def test_heat_of_what_melts_with_two_capacities_is_what_comes_in(tmp_path: Path, latent_heat: float) -> None:
+    heat = {"capacity": 2.0, "conductivity": 0.05, "source": 2000.0, "source_end": 0.3}
+    heat["source_within"] = {"kind": "box", "min": [0.0, 0.0], "max": [0.5, 1.0], "velocity": [0.2, 0.0]}
+    melting = {"solidus": 305.0, "liquidus": 315.0, "latent_heat": latent_heat, "liquid_capacity": 6.0}
+    names = ("heat", "liquid_fraction")
+    out = run(
+        tmp_path,
+        solid=JELLY,
+        phase="solid",
+        temperature=300.0,
+        heat=heat,
+        melting=melting,
+        time={"dt": 0.02, "end": 0.4},
+        linear_solver={"method": "scipy_direct"},
+        measure={name: {"kind": name} for name in names},
+    )
+    history = read_table(out / "history.csv")
+    assert 0.05 < history["measure.liquid_fraction"][-1] < 1.0
+    assert (history["source_power"][:15] > 0.0).all()
+    np.testing.assert_array_equal(history["source_power"][15:], 0.0)
+    gained = np.diff(history["measure.heat"])
+    brought = (history["dt"] * history["source_power"])[1:]
+    np.testing.assert_allclose(gained, brought, rtol=0.0, atol=1e-11 * history["measure.heat"][-1])
+
+
 def test_a_wall_holds_a_column(tmp_path: Path) -> None:
     """At rest the floor bears the weight: the pressure grows downwards."""
     shape = {"kind": "box", "min": [0.25, 0.125], "max": [0.75, 0.5]}
