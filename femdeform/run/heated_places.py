@@ -44,10 +44,9 @@ def heat_boundary(
     def flux(positions: FloatArray, time: float) -> FloatArray:
         values = np.zeros(len(positions))
         for number, heat in enumerate(heats):
-            here = bare & (of_sample == number) & _acts(time, heat.flux_start, heat.flux_end)
-            if heat.flux_within is not None:
-                here &= _is_heated(heat.flux_within, positions, time, points.x, scene.grid.cell_size)
-            values[here] = heat.flux
+            if heat.flux != 0.0 and _acts(time, heat.flux_start, heat.flux_end):
+                mine = bare & (of_sample == number)
+                values[mine & _is_heated(heat.flux_within, positions, time, points.x, scene.grid.cell_size)] = heat.flux
         return values
 
     return HeatBoundary(transfer, ambient, flux)
@@ -68,12 +67,10 @@ def heat_source(scene: PointScene, points: Particles) -> Field:
     def source(positions: FloatArray, time: float) -> FloatArray:
         values = np.zeros(len(positions))
         for number, heat in enumerate(heats):
-            if heat.source == 0.0:
-                continue
-            here = (points.body == number) & _acts(time, heat.source_start, heat.source_end)
-            if heat.source_within is not None:
-                here &= _is_heated(heat.source_within, positions, time, points.x, scene.grid.cell_size)
-            values[here] = heat.source
+            if heat.source != 0.0 and _acts(time, heat.source_start, heat.source_end):
+                mine = points.body == number
+                here = mine & _is_heated(heat.source_within, positions, time, points.x, scene.grid.cell_size)
+                values[here] = heat.source
         return values
 
     return source
@@ -91,8 +88,10 @@ def _acts(time: float, start: float, end: float | None) -> bool:
 
 
 def _is_heated(
-    place: schema.HeatedPlace, positions: FloatArray, time: float, bodies: FloatArray, spacing: float
+    place: schema.HeatedPlace | None, positions: FloatArray, time: float, bodies: FloatArray, spacing: float
 ) -> BoolArray:
+    if place is None:
+        return np.ones(len(positions), dtype=bool)
     if isinstance(place, schema.MovingArc):
         offset = positions[:, :2] - np.array(place.center)[:2]
         turn = np.arctan2(offset[:, 1], offset[:, 0]) - place.start - place.rate * time

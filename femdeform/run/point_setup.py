@@ -301,5 +301,3 @@ def _tension(block: schema.SurfaceTensionBlock) -> SurfaceTension:
 def _inside(box: tuple[tuple[float, ...], tuple[float, ...]]) -> Callable[[FloatArray], BoolArray]:
     low, high = (np.array(corner) for corner in box)
     return lambda points: np.asarray(((points >= low) & (points <= high)).all(axis=1))
-
-

@@ -132,10 +132,9 @@ def test_resumed_as_if_unbroken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         np.testing.assert_array_equal(theirs[name], values, err_msg=name)
 
 
-def test_heat_comes_in_and_melts(tmp_path: Path) -> None:
-    heat = {"capacity": 2.0, "conductivity": 0.05, "transfer": 0.6, "ambient": 400.0}
-    melting = {"solidus": 305.0, "liquidus": 315.0, "latent_heat": 5.0}
-    names = ("heat", "liquid_fraction", "max_temperature", "min_temperature")
+def history_of_what_melts(
+    tmp_path: Path, heat: dict[str, Any], melting: dict[str, Any], names: tuple[str, ...]
+) -> dict[str, Any]:
     out = run(
         tmp_path,
         solid=JELLY,
@@ -147,7 +146,14 @@ def test_heat_comes_in_and_melts(tmp_path: Path) -> None:
         linear_solver={"method": "scipy_direct"},
         measure={name: {"kind": name} for name in names},
     )
-    history = read_table(out / "history.csv")
+    return read_table(out / "history.csv")
+
+
+def test_heat_comes_in_and_melts(tmp_path: Path) -> None:
+    heat = {"capacity": 2.0, "conductivity": 0.05, "transfer": 0.6, "ambient": 400.0}
+    melting = {"solidus": 305.0, "liquidus": 315.0, "latent_heat": 5.0}
+    names = ("heat", "liquid_fraction", "max_temperature", "min_temperature")
+    history = history_of_what_melts(tmp_path, heat, melting, names)
     assert history["melted"].sum() > 10
     assert 0.05 < history["measure.liquid_fraction"][-1] < 1.0
     assert history["measure.max_temperature"][-1] < 400.0
@@ -161,18 +167,7 @@ def test_heat_of_what_melts_with_two_capacities_is_what_comes_in(tmp_path: Path,
     heat["source_within"] = {"kind": "box", "min": [0.0, 0.0], "max": [0.5, 1.0], "velocity": [0.2, 0.0]}
     melting = {"solidus": 305.0, "liquidus": 315.0, "latent_heat": latent_heat, "liquid_capacity": 6.0}
     names = ("heat", "liquid_fraction")
-    out = run(
-        tmp_path,
-        solid=JELLY,
-        phase="solid",
-        temperature=300.0,
-        heat=heat,
-        melting=melting,
-        time={"dt": 0.02, "end": 0.4},
-        linear_solver={"method": "scipy_direct"},
-        measure={name: {"kind": name} for name in names},
-    )
-    history = read_table(out / "history.csv")
+    history = history_of_what_melts(tmp_path, heat, melting, names)
     assert 0.05 < history["measure.liquid_fraction"][-1] < 1.0
     assert (history["source_power"][:15] > 0.0).all()
     np.testing.assert_array_equal(history["source_power"][15:], 0.0)
