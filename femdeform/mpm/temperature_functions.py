@@ -11,7 +11,11 @@ from femdeform.types import FloatArray
 
 
 class TemperatureFunction(Protocol):
-    """A quantity that follows from the temperature."""
+    """A quantity that follows from the temperature, piecewise linear."""
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """Temperatures between which it is linear [K]."""
 
     def __call__(self, temperature: FloatArray) -> FloatArray:
         """Values (n,) at temperatures (n,) [K]."""
@@ -30,6 +34,11 @@ class Constant:
     """
 
     value: float
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """None."""
+        return ()
 
     def __call__(self, temperature: FloatArray) -> FloatArray:
         """Values (n,) at temperatures (n,) [K]."""
@@ -66,6 +75,12 @@ class Linear:
         if not self.lowest <= self.highest:
             raise ValueError(f"the lowest value {self.lowest} is above the highest one {self.highest}")
 
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """Where the limits are reached [K]."""
+        limits = [limit for limit in (self.lowest, self.highest) if np.isfinite(limit) and self.slope != 0.0]
+        return tuple(self.reference + (limit - self.value) / self.slope for limit in limits)
+
     def __call__(self, temperature: FloatArray) -> FloatArray:
         """Values (n,) at temperatures (n,) [K]."""
         return np.asarray(np.clip(self.value + self.slope * (temperature - self.reference), self.lowest, self.highest))
@@ -95,6 +110,11 @@ class Table:
             raise ValueError(f"{len(self.temperatures)} temperatures and {len(self.values)} values are no table")
         if not np.all(np.diff(self.temperatures) > 0.0):
             raise ValueError("the temperatures of a table have to ascend")
+
+    @property
+    def corners(self) -> tuple[float, ...]:
+        """The temperatures of the table [K]."""
+        return self.temperatures
 
     def __call__(self, temperature: FloatArray) -> FloatArray:
         """Values (n,) at temperatures (n,) [K]."""

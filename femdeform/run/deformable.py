@@ -53,6 +53,7 @@ class DeformableCourse:
 
     columns = COLUMNS
     limited_by = SolverStepper.limited_by
+    growth: float | None = None
 
     def __init__(self, given: RunInput, comm: Any | None) -> None:
         self._given = given

@@ -90,6 +90,7 @@ class FlowCourse:
 
     columns = COLUMNS
     limited_by = ""
+    growth: float | None = None
 
     def __init__(self, given: RunInput, comm: Any | None) -> None:
         scene = given.loaded.scene

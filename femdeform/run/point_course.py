@@ -62,6 +62,7 @@ class PointCourse:
         scene = given.loaded.scene
         assert scene.simulation == "material_points"
         self._given, self._scene = given, scene
+        self.growth = scene.time.growth
         self.notices: list[str] = []
         self._linear_solver: Any = None
         solver = None
@@ -85,7 +86,7 @@ class PointCourse:
         limit = self._wave_limit(self.start.particles)
         if limit < scene.time.dt:
             what = "explicit steps" if solver is None else "steps with surface tension"
-            self.notices.append(f"{what} may not be longer than {limit:.3g} s at first: dt is halved until it fits")
+            self.notices.append(f"{what} may not be longer than {limit:.3g} s at first: they are shorter than dt")
 
     def _wave_limit(self, particles: Particles) -> float:
         """What sound and capillary waves allow [s] at the temperatures; the latter bind implicit steps too."""

@@ -211,7 +211,7 @@ class PointMeter:
 
     def _heat(self, points: Particles) -> float:
         materials = self._materials
-        return float("nan") if materials.capacity is None else float(points.mass @ materials.enthalpies(points))
+        return float("nan") if materials.heat is None else float(points.mass @ materials.enthalpies(points))
 
     def _mean_pressure(self, points: Particles) -> float:
         volumes = np.where(points.phase == LIQUID, current_volumes(points), 0.0)

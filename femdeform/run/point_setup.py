@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +12,10 @@ from femdeform.contact.obstacles import Box, Plane, Sphere
 from femdeform.errors import InputError
 from femdeform.materials import law_for
 from femdeform.mpm.explicit_laws import Laws, Liquid
+from femdeform.mpm.heat_content import HeatContent
 from femdeform.mpm.particle_sampling import sample_particles
 from femdeform.mpm.particles import LIQUID, SOLID, Particles
-from femdeform.mpm.phase_change import Melting, recover_temperature
+from femdeform.mpm.phase_change import Melting
 from femdeform.mpm.point_terms import PointMaterials
 from femdeform.mpm.rigid_walls import RigidWall
 from femdeform.mpm.shapes import ClosedSurface, Ellipsoid
@@ -143,8 +144,7 @@ class Materials:
     moduli : list of (TemperatureFunction, TemperatureFunction) or None
         Young's modulus and Poisson's ratio of solids in which they follow the temperature.
     tensions : list of SurfaceTension or None
-    capacity : (n_bodies,) float64, or None without heat
-        Of what melts, that of the solid.
+    heat : list of HeatContent, or None without heat
     conductivity : list of TemperatureFunction, or None without heat
     melting : list of Melting or None
     """
@@ -154,7 +154,7 @@ class Materials:
     viscosity: list[TemperatureFunction]
     moduli: list[tuple[TemperatureFunction, TemperatureFunction] | None]
     tensions: list[SurfaceTension | None]
-    capacity: FloatArray | None
+    heat: list[HeatContent] | None
     conductivity: list[TemperatureFunction] | None
     melting: list[Melting | None]
 
@@ -196,41 +196,36 @@ class Materials:
 
     def capacities(self, particles: Particles) -> FloatArray:
         """Specific heats (n,) at the temperatures of the points, without latent heat [J/(kg K)]."""
-        assert self.capacity is not None
-        out = self.capacity[particles.body]
-        for mine, melting in self._storing(particles):
-            out[mine] = melting.capacity(particles.temperature[mine])
-        return out
+        assert self.heat is not None
+        return _at_temperatures([each.capacity for each in self.heat], particles)
 
     def enthalpies(self, particles: Particles) -> FloatArray:
-        """Heat (n,) that points hold [J/kg], above 0 K if they were solid down to there."""
-        assert self.capacity is not None
-        out = self.capacity[particles.body] * particles.temperature
-        for mine, melting in self._storing(particles):
-            out[mine] = melting.solid_capacity * melting.solidus + melting.enthalpy(particles.temperature[mine])
-        return out
+        """Heat (n,) that points hold above 0 K, latent heat included [J/kg]."""
+        assert self.heat is not None
+        return _at_temperatures([each.enthalpy for each in self.heat], particles)
 
     def recover_temperatures(self, particles: Particles, before: FloatArray, capacity: FloatArray) -> None:
         """Temperatures after a step of conduction with specific heats that are those of the temperatures before it."""
-        for mine, melting in self._storing(particles):
-            particles.temperature[mine] = recover_temperature(
-                melting, before[mine], particles.temperature[mine], capacity[mine]
-            )
-
-    def _storing(self, particles: Particles) -> Iterator[tuple[BoolArray, Melting]]:
-        """Points (n,) of bodies whose heat is more than a constant times the temperature."""
-        for number, melting in enumerate(self.melting):
-            if melting is not None and (melting.latent_heat > 0.0 or melting.solid_capacity != melting.liquid_capacity):
-                yield particles.body == number, melting
+        assert self.heat is not None
+        for number, content in enumerate(self.heat):
+            if not content.is_proportional:
+                mine = np.flatnonzero(particles.body == number)
+                after = particles.temperature[mine]
+                particles.temperature[mine] = content.recovered(before[mine], after, capacity[mine])
 
     def conductivities(self, particles: Particles) -> FloatArray:
         """Thermal conductivities (n,) at the temperatures of the points [W/(m K)]."""
         assert self.conductivity is not None
-        out = np.empty(particles.n)
-        for number, function in enumerate(self.conductivity):
-            mine = np.flatnonzero(particles.body == number)
-            out[mine] = function(particles.temperature[mine])
-        return out
+        return _at_temperatures(self.conductivity, particles)
+
+
+def _at_temperatures(functions: Sequence[Callable[[FloatArray], FloatArray]], particles: Particles) -> FloatArray:
+    """Values (n,) of the functions of each body at the temperatures of its points."""
+    out = np.empty(particles.n)
+    for number, function in enumerate(functions):
+        mine = np.flatnonzero(particles.body == number)
+        out[mine] = function(particles.temperature[mine])
+    return out
 
 
 def make_materials(scene: PointScene) -> Materials:
@@ -256,17 +251,19 @@ def make_materials(scene: PointScene) -> Materials:
             values = (float(function(np.array([first]))[0]) for function in (bulk[-1], viscosity[-1]))
             laws[number, LIQUID] = Liquid(*values)
         tensions.append(None if body.surface_tension is None else _tension(body.surface_tension))
-        melting.append(None if body.melting is None else _melting(body))
+        melts = body.melting
+        melting.append(None if melts is None else Melting(melts.solidus, melts.liquidus, melts.latent_heat))
     heats = [body.heat for body in scene.bodies.values()]
     known = [heat for heat in heats if heat is not None]
     has_heat = len(known) == len(heats)
+    bands = zip(known, scene.bodies.values(), melting, strict=True) if has_heat else ()
     return Materials(
         laws,
         bulk,
         viscosity,
         moduli,
         tensions,
-        np.array([heat.capacity for heat in known]) if has_heat else None,
+        [_heat_content(heat, body.melting, melts) for heat, body, melts in bands] if has_heat else None,
         [temperature_function(heat.conductivity) for heat in known] if has_heat else None,
         melting,
     )
@@ -281,12 +278,9 @@ def _moduli(body: schema.PointBody) -> tuple[TemperatureFunction, TemperatureFun
     return temperature_function(E), temperature_function(nu)
 
 
-def _melting(body: schema.PointBody) -> Melting:
-    assert body.melting is not None
-    assert body.heat is not None
-    block, capacity = body.melting, body.heat.capacity
-    liquid_capacity = capacity if block.liquid_capacity is None else block.liquid_capacity
-    return Melting(block.solidus, block.liquidus, block.latent_heat, capacity, liquid_capacity)
+def _heat_content(heat: schema.HeatBlock, block: schema.MeltingBlock | None, melting: Melting | None) -> HeatContent:
+    liquid = None if block is None or block.liquid_capacity is None else temperature_function(block.liquid_capacity)
+    return HeatContent(temperature_function(heat.capacity), liquid, melting)
 
 
 def _tension(block: schema.SurfaceTensionBlock) -> SurfaceTension:

@@ -119,7 +119,7 @@ class PointStep:
         self._gravity = np.zeros(scene.dim) if scene.gravity is None else np.array(scene.gravity)
         self._potential = PointPotential(self._gravity, scene.surface.symmetric, comm)
         self.has_tension = any(tension is not None for tension in self.materials.tensions)
-        self.has_heat = self.materials.capacity is not None
+        self.has_heat = self.materials.heat is not None
         exchanges = any(
             body.heat is not None and (body.heat.transfer or body.heat.flux) for body in scene.bodies.values()
         )

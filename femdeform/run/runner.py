@@ -143,7 +143,7 @@ class _Run:
         self.n_frames = 0
         self.n_failures = 0
         self.n_told = 0
-        self.limited_dt = 0.0
+        self.limited_dt = np.inf
         scene_time = self.scene.time
         on_failure = self.scene.on_failure
         self.control = StepControl(
@@ -151,6 +151,7 @@ class _Run:
             end=scene_time.end,
             min_dt=default_min_dt(scene_time.dt, on_failure.min_dt),
             halve=on_failure.action == "halve_dt",
+            growth=self.course.growth,
         )
         self.earlier_seconds = 0.0 if checkpoint is None else checkpoint.seconds
         self.state: Moment = self.course.start if checkpoint is None else self._restore(checkpoint)
@@ -274,7 +275,8 @@ class _Run:
         self._stop_together()
 
     def _on_limit(self, state: Moment, dt: float, limit: float) -> None:
-        if dt != self.limited_dt:
+        # Limits may change in every step: told again once they have halved it again.
+        if dt <= 0.5 * self.limited_dt:
             self.limited_dt = dt
             self.progress.notice(
                 f"step {state.step + 1}: dt = {dt:.3g} s, for steps may not be longer than {limit:.3g} s "

@@ -62,6 +62,7 @@ class Stepper(Protocol[M, R_co]):
     """What a time loop steps."""
 
     limited_by: str  # what keeps steps below `step_limit`, in words
+    growth: float | None  # see `StepControl`
 
     def step_limit(self, state: M) -> float:
         """Longest step that may be taken from a state [s]."""
@@ -85,9 +86,12 @@ class StepControl:
     halve : bool
         Halve the step on failure; otherwise stop.
     current : float
-        Step in use [s]: `dt`, or less after a failure. It doubles every few accepted steps until it is `dt` again.
+        Longest step that may be taken next [s]: `dt`, or less after a failure or, with a `growth`, after a limit.
     streak : int
-        Accepted steps of the size in use, while that is less than `dt`.
+        Accepted steps of the size in use, while that is less than `dt`; 0 with a `growth`.
+    growth : float or None
+        Steps are as long as a limit allows, and at most this many times as long as the one before [-]. With None
+        they are `dt` halved until a limit allows them; after a failure they double every few accepted steps.
     """
 
     dt: float
@@ -96,6 +100,7 @@ class StepControl:
     halve: bool
     current: float = 0.0
     streak: int = 0
+    growth: float | None = None
 
     def __post_init__(self) -> None:
         if self.current <= 0.0:
@@ -111,16 +116,19 @@ class StepControl:
         return left if left <= self.current * (1.0 + _REMAINDER) else self.current
 
     def bounded_step(self, time: float, limit: float) -> float | None:
-        """The step to take where none longer than a limit may be: halved until it is not; None below `min_dt`."""
+        """The step to take where none longer than a limit may be; None if that is below `min_dt`."""
         dt = self.next_step(time)
         while dt > limit:
-            dt *= 0.5
+            dt = limit if self.growth is not None else 0.5 * dt
             if dt < self.min_dt:
                 return None
         return dt
 
-    def accepted(self) -> None:
-        """Return towards the step asked for, once a few steps of the present size were accepted."""
+    def accepted(self, dt: float) -> None:
+        """Return towards the step asked for, once a few steps of the present size, or one, were accepted."""
+        if self.growth is not None:
+            self.current = min(self.dt, self.growth * dt)
+            return
         if self.current >= self.dt:
             return
         self.streak += 1
@@ -198,7 +206,7 @@ def run_time_loop(
         new, report = stepper.attempt(state, dt, observe(state.step + 1))
         if report.accepted:
             state = new
-            control.accepted()
+            control.accepted(dt)
             on_accept(state, report, dt)
             continue
         retry = control.failed(dt)
@@ -220,6 +228,7 @@ class SolverStepper:
     """
 
     limited_by = "grid.cfl: bodies move too fast for the cells"
+    growth: float | None = None
 
     def __init__(self, problem: Problem, solver: StepSolver) -> None:
         self._problem = problem
@@ -250,8 +259,8 @@ def take_step(
 
 def _limit_text(state: Moment, limit: float, control: StepControl, why: str) -> str:
     return (
-        f"step {state.step + 1} from t = {state.time:.6g} s may not be longer than {limit:.3g} s ({why}); dt is not "
-        f"halved below min_dt = {control.min_dt:.3g} s"
+        f"step {state.step + 1} from t = {state.time:.6g} s may not be longer than {limit:.3g} s ({why}); dt does not "
+        f"go below min_dt = {control.min_dt:.3g} s"
     )
 
 

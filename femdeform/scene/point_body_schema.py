@@ -259,7 +259,9 @@ HeatedPlace = Annotated[
 
 
 class HeatBlock(SceneModel):
-    capacity: Positive = Field(description="specific heat [J/(kg K)]")
+    capacity: TemperatureLaw = Field(
+        description="specific heat, positive [J/(kg K)]; a linear function needs the limit that keeps it so"
+    )
     conductivity: TemperatureLaw = Field(description="thermal conductivity [W/(m K)]")
     transfer: NonNegative = Field(default=0.0, description="heat transfer coefficient of the surface [W/(m^2 K)]")
     ambient: Finite = Field(default=0.0, description="ambient temperature [K]")
@@ -274,6 +276,8 @@ class HeatBlock(SceneModel):
 
     @model_validator(mode="after")
     def _conducts(self) -> HeatBlock:
+        if not value_range(self.capacity)[0] > 0.0:
+            raise ValueError("capacity: has to be positive at every temperature")
         if value_range(self.conductivity)[0] < 0.0:
             raise ValueError("conductivity: must not be negative at any temperature")
         times = {"flux": (self.flux_start, self.flux_end), "source": (self.source_start, self.source_end)}
@@ -287,16 +291,18 @@ class MeltingBlock(SceneModel):
     solidus: Finite = Field(description="temperature below which liquid freezes [K]")
     liquidus: Finite = Field(description="temperature above which solid melts, not below solidus [K]")
     latent_heat: NonNegative = Field(default=0.0, description="heat of melting, which needs a band [J/kg]")
-    liquid_capacity: Positive | None = Field(
+    liquid_capacity: TemperatureLaw | None = Field(
         default=None,
-        description="specific heat above liquidus, where `heat.capacity` is that below solidus, and in between their "
-        "mean [J/(kg K)]; default: the same",
+        description="specific heat above liquidus, positive, where `heat.capacity` is that below solidus, and in "
+        "between their mean [J/(kg K)]; default: the same",
     )
 
     @model_validator(mode="after")
     def _ordered(self) -> MeltingBlock:
         if self.liquidus < self.solidus:
             raise ValueError(f"liquidus: must not be below solidus, {self.solidus:g} [K], not {self.liquidus:g}")
+        if self.liquid_capacity is not None and not value_range(self.liquid_capacity)[0] > 0.0:
+            raise ValueError("liquid_capacity: has to be positive at every temperature")
         if self.latent_heat > 0.0 and self.liquidus == self.solidus:
             raise ValueError("latent_heat: needs liquidus above solidus, to be spread over the band")
         return self

@@ -111,6 +111,9 @@ class PointTime(TimeStepping):
         lt=1.0,
         description="part of a cell that points and walls may cross in a step, by their speeds before it [-]",
     )
+    growth: float = Field(
+        default=1.2, gt=1.0, le=10.0, description="how many times as long a step may be as the one before it [-]"
+    )
 
 
 class PointNewtonSolver(ProjectedNewtonSolver):

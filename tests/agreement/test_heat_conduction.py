@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from femdeform.mpm.grid import Grid
 from femdeform.mpm.heat import HeatBoundary, HeatConduction, HeatReport
+from femdeform.mpm.heat_content import HeatContent
 from femdeform.mpm.particles import Particles
-from femdeform.mpm.phase_change import Melting, recover_temperature
+from femdeform.mpm.phase_change import Melting
 from femdeform.mpm.surface_samples import SurfaceSamples
 from femdeform.mpm.surface_sampling import SurfaceSampler
+from femdeform.mpm.temperature_functions import Constant, Table
 from verification.analytic.heat import (
     cooling_ball,
     cooling_disc,
@@ -220,7 +225,7 @@ def test_melting_front() -> None:
     n, dt, band, rows = 32, 1e-3, 0.02, 3
     dx = 1.0 / n
     particles = lattice(np.zeros(2), np.array([1.0, rows * dx]), dx)
-    melting = Melting(-band / 2, band / 2, latent_heat=1.0, solid_capacity=1.0, liquid_capacity=1.0)
+    content = HeatContent(Constant(1.0), melting=Melting(-band / 2, band / 2, latent_heat=1.0))
     particles.temperature[:] = -band / 2
     first = np.flatnonzero(particles.x[:, 0] < dx / PER_CELL)
     side = dx / PER_CELL
@@ -228,15 +233,58 @@ def test_melting_front() -> None:
         particles.x[first] - [side / 2, 0.0], np.tile([-1.0, 0.0], (first.size, 1)), np.full(first.size, side), first
     )
     conduction = HeatConduction(Grid(dx, "quadratic"))
-    start = (particles.mass * melting.enthalpy(particles.temperature)).sum()
+    start = (particles.mass * content.enthalpy(particles.temperature)).sum()
     brought, front = 0.0, []
     for _ in range(100):
         before = particles.temperature.copy()
-        capacity = melting.capacity(before)
+        capacity = content.capacity(before)
         report = conduction.step(particles, face, dt, 0.0, capacity, 1.0, HeatBoundary(1e4, 1.0))
         brought += dt * report.boundary_power
-        particles.temperature = recover_temperature(melting, before, particles.temperature, capacity)
-        front.append((particles.mass * melting.liquid_fraction(particles.temperature)).sum() / (rows * dx))
-    assert (particles.mass * melting.enthalpy(particles.temperature)).sum() - start == pytest.approx(brought, rel=1e-11)
+        particles.temperature = content.recovered(before, particles.temperature, capacity)
+        liquid = np.clip(particles.temperature / band + 0.5, 0.0, 1.0)
+        front.append((particles.mass * liquid).sum() / (rows * dx))
+    assert (particles.mass * content.enthalpy(particles.temperature)).sum() - start == pytest.approx(brought, rel=1e-11)
     exact = 2.0 * stefan_front(1.0) * np.sqrt(dt * np.arange(1, 101))
     np.testing.assert_allclose(front[49:], exact[49:], rtol=0.05)
+
+
+def bar_by_finite_volumes(capacity: Table, end: float, n: int = 400) -> tuple[Array, Array]:
+    """Places and temperatures of an insulated bar of length and conductivity 1 that starts at 300 + 100 x."""
+    x = (np.arange(n) + 0.5) / n
+
+    def rate(time: float, T: Array) -> Array:
+        flux = np.concatenate(([0.0], np.diff(T) * n, [0.0]))
+        return np.asarray(np.diff(flux) * n / capacity(T))
+
+    solution = solve_ivp(rate, (0.0, end), 300.0 + 100.0 * x, "BDF", rtol=1e-9, atol=1e-7)
+    return x, np.asarray(solution.y[:, -1])
+
+
+def test_specific_heat_that_follows_the_temperature() -> None:
+    """A bar comes to rest within: heat spreads as the equation says, to first order in time, and none is lost."""
+    n, rows, end = 64, 3, 0.05
+    dx = 1.0 / n
+    capacity = Table((310.0, 390.0), (1.0, 4.0))
+    content = HeatContent(capacity)
+    found = []
+    for steps in (25, 50, 100):
+        particles = lattice(np.zeros(2), np.array([1.0, rows * dx]), dx)
+        particles.temperature[:] = 300.0 + 100.0 * particles.x[:, 0]
+        particles.temperature_gradient[:] = [100.0, 0.0]
+        conduction = HeatConduction(Grid(dx, "quadratic"))
+        start = particles.mass @ content.enthalpy(particles.temperature)
+        for _ in range(steps):
+            before = particles.temperature.copy()
+            now = content.capacity(before)
+            assert conduction.step(particles, None, end / steps, 0.0, now, 1.0).converged
+            particles.temperature = content.recovered(before, particles.temperature, now)
+        assert particles.mass @ content.enthalpy(particles.temperature) == pytest.approx(start, rel=1e-13)
+        found.append(particles.temperature)
+    exact = np.interp(particles.x[:, 0], *bar_by_finite_volumes(capacity, end))
+    error = np.abs(found[-1] - exact).max()
+    assert error < 0.05
+    # A constant one, the mean of it, is off by many times as much.
+    mean = np.interp(particles.x[:, 0], *bar_by_finite_volumes(Table((0.0,), (2.5,)), end))
+    assert np.abs(mean - exact).max() > 20.0 * error
+    coarse, fine = (np.abs(b - a).max() for a, b in itertools.pairwise(found))
+    assert coarse / fine == pytest.approx(2.0, abs=0.15)

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from femdeform.mpm.particles import LIQUID, SOLID, Particles
-from femdeform.mpm.phase_change import Melting, change_phase, recover_temperature
-
-T = np.linspace(290.0, 315.0, 501)
+from femdeform.mpm.phase_change import Melting, change_phase
 
 
 def points(temperatures: list[float], phase: int) -> Particles:
@@ -56,47 +54,6 @@ def test_one_melting_point_and_members() -> None:
     np.testing.assert_array_equal(particles.phase, [SOLID, SOLID, LIQUID, SOLID])
 
 
-@pytest.mark.parametrize(
-    "melting",
-    [
-        Melting(300.0, 304.0, 50.0, 2.0, 3.0),
-        Melting(300.0, 300.1, 1e5, 2.0, 3.0),
-        Melting(300.0, 304.0),
-        Melting(302.0, 302.0, 0.0, 1.0, 4.0),
-    ],
-)
-def test_temperature_is_the_inverse_of_enthalpy(melting: Melting) -> None:
-    enthalpy = melting.enthalpy(T)
-    assert np.all(np.diff(enthalpy) > 0.0)
-    np.testing.assert_allclose(melting.temperature(enthalpy), T, rtol=1e-13)
-    # From solid to liquid it takes the latent heat and the sensible ones.
-    whole = melting.enthalpy(np.array([melting.solidus, melting.liquidus]))
-    mean = 0.5 * (melting.solid_capacity + melting.liquid_capacity)
-    assert whole[1] - whole[0] == pytest.approx(melting.latent_heat + mean * (melting.liquidus - melting.solidus))
-
-
-def test_slope_of_enthalpy_is_the_capacity_outside_the_band() -> None:
-    melting = Melting(300.0, 304.0, 50.0, 2.0, 3.0)
-    outside = (T < 299.9) | (T > 304.1)
-    slope = (melting.enthalpy(T + 1e-4) - melting.enthalpy(T - 1e-4)) / 2e-4
-    np.testing.assert_allclose(slope[outside], melting.capacity(T)[outside], rtol=1e-6)
-    inside = (T > 300.1) & (T < 303.9)
-    np.testing.assert_allclose(slope[inside], 50.0 / 4.0 + 2.5, rtol=1e-6)
-
-
-def test_recovered_temperatures_hold_the_heat_that_came() -> None:
-    melting, rng = Melting(300.0, 301.0, 80.0, 2.0, 3.0), np.random.default_rng(0)
-    before = rng.uniform(295.0, 306.0, 400)
-    capacity = melting.capacity(before)
-    after = before + rng.uniform(-30.0, 30.0, 400)
-    recovered = recover_temperature(melting, before, after, capacity)
-    brought = melting.enthalpy(recovered) - melting.enthalpy(before)
-    np.testing.assert_allclose(brought, capacity * (after - before), atol=1e-11)
-    # Where nothing melts or freezes and the capacity does not change, conduction had it right.
-    solid = (before < 300.0) & (after < 300.0)
-    np.testing.assert_allclose(recovered[solid], after[solid], rtol=1e-13)
-
-
 def test_bad_input() -> None:
     with pytest.raises(ValueError, match="solidus"):
         Melting(303.0, 302.0)
@@ -104,5 +61,3 @@ def test_bad_input() -> None:
         Melting(302.0, 303.0, -1.0)
     with pytest.raises(ValueError, match="above the solidus"):
         Melting(303.0, 303.0, 1.0)
-    with pytest.raises(ValueError, match="specific heat"):
-        Melting(302.0, 303.0, 1.0, 0.0)

@@ -210,3 +210,51 @@ def test_a_solved_step_that_the_problem_refuses_is_halved() -> None:
     outcome = stuck.run(control(halve=False))
     assert not outcome.finished
     assert "too far" in outcome.reason
+
+
+def growing(current: float = 0.0, end: float = 1.0) -> StepControl:
+    return StepControl(0.1, end, 0.01, True, current, growth=1.2)
+
+
+def test_steps_that_grow_are_as_long_as_the_limit_allows() -> None:
+    fake = Fake(never, limit=lambda time: 0.03 if time < 0.19 else np.inf)
+    outcome = fake.run(growing())
+    assert outcome.finished
+    assert fake.accepted[:7] == [0.03] * 7
+    np.testing.assert_allclose(fake.accepted[6:14], np.minimum(0.1, 0.03 * 1.2 ** np.arange(8)))
+    assert max(fake.accepted) == 0.1
+    assert fake.limited == [(0.03, 0.03)] * 7
+    assert sum(fake.accepted) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_steps_that_grow_are_halved_where_they_fail() -> None:
+    fake = Fake(lambda time, dt: 0.15 < time < 0.25 and dt > 0.03)
+    assert fake.run(growing()).finished
+    assert fake.accepted[:4] == [0.1, 0.1, 0.025, pytest.approx(0.03)]
+    ratios = np.array(fake.accepted[1:-1]) / np.array(fake.accepted[:-2])
+    assert ratios.max() <= 1.2 * (1.0 + 1e-12)
+    assert fake.accepted[-2] == 0.1
+    below = Fake(never, limit=lambda time: 0.009)
+    assert not below.run(growing()).finished
+    assert below.tried == []
+
+
+def test_going_on_while_steps_grow() -> None:
+    """Time and the longest next step are all that the rest depends on."""
+    hard = Fake(lambda time, dt: 0.3 < time < 0.4 and dt > 0.03, limit=lambda time: 0.07 * (1.0 + time))
+    left: list[tuple[float, float, int]] = []
+    steps = growing()
+    run_time_loop(
+        SolverStepper(hard, hard),  # type: ignore[arg-type]
+        steps,
+        State(np.zeros((1, 2)), np.zeros((1, 2))),
+        on_accept=lambda state, result, dt: left.append((state.time, steps.current, steps.streak)),
+        on_failure=lambda state, result, dt, retry: None,
+        observe=lambda step: None,
+    )
+    assert len(left) > 12
+    for time, current, streak in left:
+        rest = Fake(hard.fails, limit=hard.limit)
+        rest.run(StepControl(0.1, 1.0, 0.01, True, current, streak, growth=1.2), time)
+        assert rest.tried == hard.tried[len(hard.tried) - len(rest.tried) :]
+        assert time == 1.0 or rest.tried[0][0] == time
