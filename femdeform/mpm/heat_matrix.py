@@ -32,6 +32,15 @@ class ConductionMatrix:
     ----------
     own : (n_nodes,) float64
         The diagonal; zero where neither mass nor exchange reaches.
+
+    References
+    ----------
+    J. Chen, dissertation (2024), section 3.2.3.2, with the masses of points that are not split; conjugate gradients
+    with the diagonal: Y. Saad, Iterative methods for sparse linear systems (2003), section 9.2.
+
+    Limitations
+    -----------
+    Rows have 5^dim places whatever the points reach. Iterations grow with the square root of K dt/(rho c dx^2).
     """
 
     def __init__(self, stencils: Stencils, conductance: FloatArray, exchange: FloatArray, inertia: FloatArray) -> None:

@@ -181,6 +181,15 @@ class WallContact:
         Axes along which the displacement is prescribed.
     shift : (n_nodes, dim) float64
         Prescribed displacements along them [m].
+
+    References
+    ----------
+    J. Nocedal, S. Wright, Numerical optimization (2006), section 16.5: active sets, of one inequality a node.
+
+    Limitations
+    -----------
+    A node in two walls follows both as long as their normals tell them apart; a wall thinner than a cell, or an edge
+    sharper than one, is seen by the nodes that lie inside of it alone.
     """
 
     def __init__(self, walls: Sequence[NodeWall], n_nodes: int, dim: int, dt: float, predicted: FloatArray) -> None:

@@ -5,6 +5,11 @@ References
 D. Hyde, S. Gagniere, A. Marquez-Razon, J. Teran, An implicit updated Lagrangian formulation for liquids with large
 surface energy (2020), section 5.1; M. Corsini, P. Cignoni, R. Scopigno, Efficient and flexible sampling with blue noise
 properties (2012), figure 1; R. Osada, T. Funkhouser, B. Chazelle, D. Dobkin, Shape distributions (2002), section 4.1.
+
+Limitations
+-----------
+Samples are new in each step, so forces of the surface have noise that falls with the root of their number; the area is
+that of the contour, which lies outside of the points (`femdeform.mpm.level_set`).
 """
 
 from __future__ import annotations

@@ -102,8 +102,9 @@ def test_a_drop_with_tension_keeps_its_momentum(tmp_path: Path, time: dict[str, 
         {"time": {"scheme": "explicit"}, "gravity": [0.0, -5.0]},
         {"time": {"scheme": "explicit"}, "surface_tension": {"liquid_gas": 0.2}},
         {"time": {"scheme": "backward_euler"}, "surface_tension": {"liquid_gas": 0.2}},
+        {"time": {"dt": 0.1, "end": 0.3, "cfl": 0.2}, "gravity": [-2.5, 2.5]},
     ],
-    ids=["fast", "explicit", "implicit"],
+    ids=["fast", "explicit", "implicit", "growing steps"],
 )
 def test_resumed_as_if_unbroken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: dict[str, Any]) -> None:
     walls = [{"shape": {"kind": "box", "min": [0.2, 0.3], "max": [0.8, 0.8]}, "inside": True, "friction": 0.2}]
@@ -130,6 +131,24 @@ def test_resumed_as_if_unbroken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     ours, theirs = read_checkpoint(whole).fields, read_checkpoint(tmp_path / "broken").fields
     for name, values in ours.items():
         np.testing.assert_array_equal(theirs[name], values, err_msg=name)
+
+
+@pytest.mark.parametrize("growth", [1.2, 2.0])
+def test_steps_are_as_long_as_speeds_allow_and_grow_slowly(tmp_path: Path, growth: float) -> None:
+    """A drop that is thrown up: at its highest point steps could be of any length."""
+    time = {"dt": 0.1, "end": 0.4, "cfl": 0.2, "growth": growth}
+    measure = {"v": {"kind": "max_speed"}}
+    history = read_table(
+        run(tmp_path, time=time, velocity=[0.0, 1.0], gravity=[0.0, -5.0], measure=measure) / "history.csv"
+    )
+    dt, speed = history["dt"], np.concatenate(([1.0], history["measure.v"]))[:-1]
+    assert dt[0] == pytest.approx(0.2 * 0.0625)
+    courant, ratios = dt * speed / 0.0625, dt[1:] / dt[:-1]
+    assert courant.max() <= 0.2 * (1.0 + 1e-12)
+    assert ratios.max() == pytest.approx(growth)
+    # Each step but the last is as long as one of the two rules allows.
+    bound = np.minimum(0.2 * 0.0625 / speed[1:-1], growth * dt[:-2])
+    np.testing.assert_allclose(dt[1:-1], np.minimum(bound, 0.1), rtol=1e-9)
 
 
 def history_of_what_melts(
