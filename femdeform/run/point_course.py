@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from femdeform import registry
 from femdeform.errors import InputError
+from femdeform.mpm.explicit_laws import HIGHEST_J, LOWEST_J
 from femdeform.mpm.particles import Particles
 from femdeform.mpm.surface_coefficient import largest_coefficient
 from femdeform.mpm.time_step import capillary_limit, explicit_limit
@@ -28,6 +29,9 @@ from femdeform.scene.mesh_files import with_absolute_paths
 from femdeform.scene.point_body_schema import PointWall
 from femdeform.scene.point_schema import BlockCGLinearSolver
 from femdeform.step_problem import IterationObserver
+
+# Part of the points that may be at a bound of their volume ratio before it is told.
+_BOUNDED = 0.02
 
 COLUMNS = (
     "step",
@@ -79,6 +83,7 @@ class PointCourse:
         self._step = PointStep(scene, given.meshes, solver, comm, self.start.particles)
         self._meter = PointMeter(scene, self._step.materials)
         self._measured: dict[str, float] = {}
+        self._told_bounded = False
         self.writer = VTPWriter()
         if scene.surface.comparison is not None:
             self.notices.append("surface.comparison: a scheme to compare with, which loses momentum")
@@ -122,6 +127,7 @@ class PointCourse:
 
     def row(self, state: PointState, report: PointReport) -> dict[str, float | int | str]:
         """Solver, sizes, heat, and what the scene measures."""
+        self._note_bounded(state, report)
         self._measured = {f"measure.{name}": value for name, value in self._meter.evaluate(state).items()}
         row: dict[str, float | int | str] = {
             "linear_iterations": report.linear_iterations,
@@ -141,6 +147,16 @@ class PointCourse:
                 "frozen": report.n_frozen,
             }
         return row | self._measured
+
+    def _note_bounded(self, state: PointState, report: PointReport) -> None:
+        """Tell once of many points that resist no more: the liquid then shows less volume than it has."""
+        if not self._told_bounded and report.n_bounded > _BOUNDED * state.particles.n:
+            self._told_bounded = True
+            self.notices.append(
+                f"step {state.step}: {report.n_bounded} liquid points are as small or as large as points may be "
+                f"(J = {LOWEST_J:g} or {HIGHEST_J:g}) and resist no more: the liquid loses visible volume; a larger "
+                "bulk modulus helps"
+            )
 
     def frame(self, state: PointState) -> FrameData | None:
         """Positions and what the scene asks for."""

@@ -276,3 +276,15 @@ def test_points_that_leave_the_domain_end_the_run(tmp_path: Path, capsys: pytest
 def test_faults_have_their_key(tmp_path: Path, more: dict[str, Any], message: str) -> None:
     faults = [str(fault) for fault in check_file(written(points(**more), tmp_path / "s.yaml"))]
     assert any(message in fault for fault in faults), faults
+
+
+def test_points_that_resist_no_more_are_told_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A drop of almost nothing that flows together: its points end at the lower bound of J."""
+    soft = {"density": 10.0, "bulk_modulus": 1e-6}
+    scene = points(liquid=soft, velocity_gradient=[[-4.0, 0.0], [0.0, -4.0]], time={"scheme": "explicit", "end": 0.4})
+    assert run_scene(written(scene, tmp_path / "soft.yaml"), out=tmp_path / "out", threads=1) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "resist no more" in line]
+    assert len(told) == 1
+    history = read_table(tmp_path / "out" / "history.csv")
+    first = int(history["step"][np.flatnonzero(history["bounded"] > 0.02 * facts(tmp_path / "out")["n_cells"])[0]])
+    assert f"step {first}: " in told[0]
