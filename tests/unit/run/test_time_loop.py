@@ -69,6 +69,20 @@ def control(dt: float = 0.1, end: float = 1.0, min_dt: float = 0.01, halve: bool
     return StepControl(dt, end, min_dt, halve)
 
 
+def moments(fake: Fake, steps: StepControl) -> list[tuple[float, float, int]]:
+    """Time, step size and streak after each accepted step of a whole run."""
+    found: list[tuple[float, float, int]] = []
+    run_time_loop(
+        SolverStepper(fake, fake),  # type: ignore[arg-type]
+        steps,
+        State(np.zeros((1, 2)), np.zeros((1, 2))),
+        on_accept=lambda state, result, dt: found.append((state.time, steps.current, steps.streak)),
+        on_failure=lambda state, result, dt, retry: None,
+        observe=lambda step: None,
+    )
+    return found
+
+
 def test_equal_steps_to_the_end() -> None:
     fake = Fake(never)
     outcome = fake.run(control())
@@ -153,16 +167,7 @@ def test_a_step_size_that_keeps_failing_is_not_tried_after_every_success() -> No
 def test_going_on_in_the_midst_of_small_steps() -> None:
     """Whatever step a run is broken at, time, size and streak are all that the rest depends on."""
     hard = Fake(lambda time, dt: 0.3 < time + dt < 0.5 and dt > 0.03)
-    left: list[tuple[float, float, int]] = []
-    steps = control()
-    run_time_loop(
-        SolverStepper(hard, hard),  # type: ignore[arg-type]
-        steps,
-        State(np.zeros((1, 2)), np.zeros((1, 2))),
-        on_accept=lambda state, result, dt: left.append((state.time, steps.current, steps.streak)),
-        on_failure=lambda state, result, dt, retry: None,
-        observe=lambda step: None,
-    )
+    left = moments(hard, control())
     assert {streak for _, _, streak in left} == {0, 1, 2}
     for time, current, streak in left:
         rest = Fake(hard.fails)
@@ -242,16 +247,7 @@ def test_steps_that_grow_are_halved_where_they_fail() -> None:
 def test_going_on_while_steps_grow() -> None:
     """Time and the longest next step are all that the rest depends on."""
     hard = Fake(lambda time, dt: 0.3 < time < 0.4 and dt > 0.03, limit=lambda time: 0.07 * (1.0 + time))
-    left: list[tuple[float, float, int]] = []
-    steps = growing()
-    run_time_loop(
-        SolverStepper(hard, hard),  # type: ignore[arg-type]
-        steps,
-        State(np.zeros((1, 2)), np.zeros((1, 2))),
-        on_accept=lambda state, result, dt: left.append((state.time, steps.current, steps.streak)),
-        on_failure=lambda state, result, dt, retry: None,
-        observe=lambda step: None,
-    )
+    left = moments(hard, growing())
     assert len(left) > 12
     for time, current, streak in left:
         rest = Fake(hard.fails, limit=hard.limit)
