@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from types import FrameType
 from typing import Any
 
@@ -20,6 +20,8 @@ _SHORT = 0.3
 
 # What tells the watcher of the block that is being run that a signal was heard; one block is run at a time.
 _watched: list[threading.Event] = []
+# Those that hear signals now; the last one does, each within the block of the one before it.
+_hearing: list[Interrupts] = []
 # What is still to be written when the process has to end in the middle of a library; at most one run has such.
 _last_words: list[Callable[[], None]] = []
 
@@ -46,9 +48,11 @@ class Interrupts:
             for number in _SIGNALS:
                 if signal.getsignal(number) is not signal.SIG_IGN:
                     self._before[number] = signal.signal(number, self._arrive)
+        _hearing.append(self)
         return self
 
     def __exit__(self, *_: object) -> None:
+        _hearing.remove(self)
         for number, handler in self._before.items():
             # None stands for a handler that was not installed by Python and cannot be put back.
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
@@ -79,6 +83,16 @@ class Interrupts:
             self._on_arrival()
         if not self._holds:
             raise KeyboardInterrupt
+
+
+@contextmanager
+def signals_held() -> Iterator[None]:
+    """Keep signals waiting in a block, as `Interrupts.held`, for code that is not handed the one that hears them.
+
+    Outside all blocks of `Interrupts` it does nothing.
+    """
+    with _hearing[-1].held() if _hearing else nullcontext():
+        yield
 
 
 @contextmanager

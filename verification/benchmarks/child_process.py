@@ -9,9 +9,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from femdeform.run.interrupts import signals_held
 
 _PATIENCE = 1200.0
 
@@ -81,31 +84,31 @@ def run_script(python: Path, script: Path, case: Mapping[str, Any]) -> Outcome:
 
 
 def _run(command: list[str], case: Mapping[str, Any], environment: dict[str, str]) -> Outcome:
-    with tempfile.TemporaryDirectory(prefix="femdeform-bench-") as folder:
-        case_file, result_file = Path(folder, "case.json"), Path(folder, "result.json")
-        case_file.write_text(json.dumps(dict(case)), encoding="utf-8")
-        try:
-            # A session of its own, so that a case that takes too long goes with all the processes it started.
-            process = subprocess.Popen(
-                [*command, str(case_file), str(result_file)],
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-                errors="replace",
-                start_new_session=True,
-            )
-        except OSError as error:
-            return Outcome("failed", {}, f"cannot be started: {error}")
+    with ExitStack() as stack:
+        # A signal between the start of a process and the moment its end is arranged for would leave it behind.
+        with signals_held():
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="femdeform-bench-"))
+            case_file, result_file = Path(folder, "case.json"), Path(folder, "result.json")
+            case_file.write_text(json.dumps(dict(case)), encoding="utf-8")
+            try:
+                # A session of its own, so that a case that takes too long goes with all the processes it started.
+                process = subprocess.Popen(
+                    [*command, str(case_file), str(result_file)],
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.PIPE,
+                    text=True,
+                    errors="replace",
+                    start_new_session=True,
+                )
+            except OSError as error:
+                return Outcome("failed", {}, f"cannot be started: {error}")
+            stack.callback(_end, process)
         try:
             _, complaint = process.communicate(timeout=_PATIENCE)
         except subprocess.TimeoutExpired:
-            _end(process)
             return Outcome("failed", {}, f"took more than {_PATIENCE:.0f} s")
-        except BaseException:
-            _end(process)
-            raise
         if process.returncode != 0 or not result_file.is_file():
             return Outcome("failed", {}, _last_line(complaint) or f"ended with code {process.returncode}")
         try:
@@ -118,6 +121,9 @@ def _run(command: list[str], case: Mapping[str, Any], environment: dict[str, str
 
 
 def _end(process: subprocess.Popen[str]) -> None:
+    """End a process and all it has started, if it has not ended by itself."""
+    if process.poll() is not None:
+        return
     os.killpg(process.pid, signal.SIGTERM)
     try:
         process.communicate(timeout=10.0)

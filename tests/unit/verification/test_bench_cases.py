@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -15,6 +17,7 @@ from typing import Any
 import pytest
 
 from femdeform.errors import InputError
+from femdeform.run.interrupts import Interrupts
 from verification.benchmarks import cases, child_process, environment, newton, run
 from verification.benchmarks.cases import Cases
 from verification.benchmarks.child_process import Outcome
@@ -151,6 +154,31 @@ def test_a_signal_ends_the_case_that_runs(
     assert {row["status"] for row in document["benchmarks"]["xpbd"]["sweeps"]} == {"done"}
     assert list(scratch.iterdir()) == []
     assert not commands_with(str(scratch))
+
+
+@pytest.mark.parametrize("moment", ["before", "after"])
+def test_a_signal_while_a_case_is_started_leaves_nothing_behind(
+    moment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It comes as the process begins, and whoever started it has not been handed it yet."""
+    started = []
+    popen = subprocess.Popen
+
+    def start_and_signal(*arguments: Any, **options: Any) -> subprocess.Popen[str]:
+        if moment == "before":
+            os.kill(os.getpid(), signal.SIGTERM)
+        started.append(popen(*arguments, **options))
+        if moment == "after":
+            os.kill(os.getpid(), signal.SIGTERM)
+        return started[-1]
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.setattr(subprocess, "Popen", start_and_signal)
+    with Interrupts(), pytest.raises(KeyboardInterrupt):
+        child_process.run_module("verification.benchmarks.xpbd_case", {"kind": "sweep"}, 1)
+    assert [process.poll() for process in started] == [-signal.SIGTERM]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_tables_are_written_before_pictures_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
