@@ -227,6 +227,5 @@ def guard_cell_count(name: str, measures: dict[int, float], size: float, shown: 
 def model_measures(gmsh: Any) -> dict[int, float]:
     """Total length, area and volume of the CAD model, for `guard_cell_count`."""
     return {
-        dim: float(sum(gmsh.model.occ.getMass(*entity) for entity in gmsh.model.getEntities(dim)))
-        for dim in (1, 2, 3)
+        dim: float(sum(gmsh.model.occ.getMass(*entity) for entity in gmsh.model.getEntities(dim))) for dim in (1, 2, 3)
     }

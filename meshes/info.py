@@ -198,7 +198,5 @@ def _validated(block: dict[str, object], settings: dict[str, object]) -> PlacedM
         place[key] = value
     findings = find_faults(_Settings, {"mesh": block})
     if findings:
-        raise InputError(
-            [Fault("--set", 0, ".".join(map(str, path[1:])), message) for path, message in findings]
-        )
+        raise InputError([Fault("--set", 0, ".".join(map(str, path[1:])), message) for path, message in findings])
     return _Settings.model_validate({"mesh": block}).mesh

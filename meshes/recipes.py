@@ -186,9 +186,7 @@ _BUILDERS: dict[type[PlacedMesh], _Builder] = {
     EllipsoidMesh: _Builder(_ellipsoid, ("semi_axes", "element_size"), attempts=3),
     TorusMesh: _Builder(_torus, ("radius", "tube_radius", "element_size"), "tube_radius"),
     SphericalShellMesh: _Builder(_spherical_shell, ("radius", "thickness", "element_size")),
-    PlateWithHoleMesh: _Builder(
-        _plate_with_hole, ("size", "radius", "thickness", "element_size", "hole_element_size")
-    ),
+    PlateWithHoleMesh: _Builder(_plate_with_hole, ("size", "radius", "thickness", "element_size", "hole_element_size")),
     RubberMountMesh: _Builder(
         rubber_mount,
         (
@@ -246,9 +244,7 @@ def gmsh_recipe(source: PlacedMesh) -> Mesh:
     return assemble(parts, name, drop_unreferenced=True)
 
 
-def _generate(
-    builder: _Builder, source: PlacedMesh, attempt: int | None, name: str, factor: float
-) -> MeshParts:
+def _generate(builder: _Builder, source: PlacedMesh, attempt: int | None, name: str, factor: float) -> MeshParts:
     sizes = [getattr(source, key, None) for key in ("element_size", "plate_element_size")]
     size: float = min(value for value in sizes if value is not None)
     with gmsh_session(name) as gmsh:

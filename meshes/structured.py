@@ -30,9 +30,7 @@ _FIVE = np.array([[0, 3, 6, 5], [1, 3, 0, 5], [2, 0, 3, 6], [4, 6, 5, 0], [7, 5,
 # The mirror image in x: corner c becomes c ^ 1, and two nodes are swapped to keep volumes positive.
 _FIVE_MIRRORED = (_FIVE ^ 1)[:, [0, 1, 3, 2]]
 # Six paths along the axes from corner 0 to corner 7 (Kuhn's split); odd permutations have two nodes swapped.
-_SIX = np.array(
-    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]], dtype=np.int64
-)
+_SIX = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]], dtype=np.int64)
 # How far the recipe `muscle` rounds a square cross-section off: 0.5 would be a disc.
 _ROUNDNESS = 0.4
 _RIGHT = np.array([[0, 1, 3], [0, 3, 2]], dtype=np.int64)
@@ -55,9 +53,7 @@ def _indices(shape: Sequence[int]) -> IntArray:
     return np.stack(axes[::-1], axis=-1).reshape(-1, len(shape))
 
 
-def _split_cells(
-    corners: IntArray, parity: IntArray, split: int, diagonals: Diagonals
-) -> tuple[IntArray, CellType]:
+def _split_cells(corners: IntArray, parity: IntArray, split: int, diagonals: Diagonals) -> tuple[IntArray, CellType]:
     n, k = corners.shape
     if k == 2:
         return corners, "line"
@@ -236,9 +232,7 @@ def ring(source: RingMesh) -> Mesh:
 def rod(source: RodMesh) -> Mesh:
     """Straight rod; its ends are the facet groups ``start`` and ``end``."""
     start, end = np.array(source.start), np.array(source.end)
-    return _structured(
-        (source.cells,), lambda unit: start + unit * (end - start), sides=(("start", "end"),)
-    )
+    return _structured((source.cells,), lambda unit: start + unit * (end - start), sides=(("start", "end"),))
 
 
 def rod_net(source: RodNetMesh) -> Mesh:

@@ -36,9 +36,7 @@ _MEDIT_SKIPPED = {
 _MEDIT_REFUSED = {"quadrilaterals", "hexahedra", "prisms", "pyramids", "hexaedra"}
 
 
-def read_medit(
-    text: str, name: str
-) -> tuple[FloatArray, dict[PartKind, IntArray], dict[PartKind, IntArray]]:
+def read_medit(text: str, name: str) -> tuple[FloatArray, dict[PartKind, IntArray], dict[PartKind, IntArray]]:
     """Read an ASCII Medit (.mesh) file.
 
     Returns

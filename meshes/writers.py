@@ -111,9 +111,7 @@ def _write_msh(mesh: Mesh, path: Path) -> list[str]:
     return []
 
 
-def _add_entities(
-    gmsh: Any, table: IntArray, groups: dict[str, IntArray], mesh: Mesh | None, next_cell: int
-) -> int:
+def _add_entities(gmsh: Any, table: IntArray, groups: dict[str, IntArray], mesh: Mesh | None, next_cell: int) -> int:
     """Add the cells of a table to the model; the first entity of the mesh's cells takes all points."""
     if not len(table):
         return next_cell
@@ -128,9 +126,7 @@ def _add_entities(
         gmsh.model.mesh.addNodes(dim, tags[0], numbers, _points_3d(mesh).ravel())
     for index, tag in enumerate(tags):
         rows = np.flatnonzero(entity_of.ravel() == index)
-        gmsh.model.mesh.addElementsByType(
-            tag, _GMSH_TYPES[dim + 1], next_cell + rows, (table[rows] + 1).ravel()
-        )
+        gmsh.model.mesh.addElementsByType(tag, _GMSH_TYPES[dim + 1], next_cell + rows, (table[rows] + 1).ravel())
     for column, name in enumerate(groups):
         inside = [tag for tag, pattern in zip(tags, patterns, strict=True) if pattern[column]]
         gmsh.model.addPhysicalGroup(dim, inside, name=name)

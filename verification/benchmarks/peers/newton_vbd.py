@@ -45,6 +45,7 @@ def compare(block: Any) -> dict[str, Any]:
     moved = end.particle_q.numpy()
     if not np.all(np.isfinite(moved)):
         raise RuntimeError("its positions are not finite")
+
     def advance(dt: float, iterations: int) -> Any:
         step(iterations, dt)
         return end.particle_q.numpy()
