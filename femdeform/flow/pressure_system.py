@@ -34,6 +34,9 @@ class PressureSystem:
     ----------
     labels : (nx, ny) or (nx, ny, nz) uint8
         `FLUID`, `SOLID` or `AIR` of each voxel. What lies outside of the grid is solid.
+    reaction : float
+        Added to the diagonal of each unknown [-]; not negative, and 0 for a pressure. A step of the heat equation has
+        one, and then no component knows its values up to a constant only.
 
     Attributes
     ----------
@@ -42,8 +45,9 @@ class PressureSystem:
     shape : tuple of int
         Of the grid without padding, (nx, ny, nz).
     labels : (nx + 2, ny + 2, nz + 2) uint8
-    diagonal : (nx + 2, ny + 2, nz + 2) uint8
+    diagonal : (nx + 2, ny + 2, nz + 2) uint8, or float64 with a reaction
         Of A; 0 where there is no unknown.
+    reaction : float
     n_unknowns : int
 
     References
@@ -56,18 +60,23 @@ class PressureSystem:
     Air begins at the centre of its voxel, whatever the surface.
     """
 
-    def __init__(self, labels: NDArray[np.uint8]) -> None:
+    def __init__(self, labels: NDArray[np.uint8], reaction: float = 0.0) -> None:
         if labels.ndim not in (2, 3):
             raise ValueError(f"labels have {labels.ndim} dimensions, not 2 or 3")
         if labels.size == 0 or int(labels.max()) > AIR:
             raise ValueError(f"labels are {FLUID} (fluid), {SOLID} (solid) and {AIR} (air)")
+        if not reaction >= 0.0:
+            raise ValueError(f"a reaction of {reaction} leaves the matrix indefinite")
         whole = labels.reshape(*labels.shape, 1) if labels.ndim == 2 else labels
         self.dim = 2 if whole.shape[2] == 1 else 3
         self.shape = (int(whole.shape[0]), int(whole.shape[1]), int(whole.shape[2]))
         self.labels = np.pad(whole.astype(np.uint8), 1, constant_values=SOLID)
         fluid, passable = self.labels == FLUID, self.labels != SOLID
         neighbours = sum(shifted(passable, axis, side).astype(np.uint8) for axis in range(3) for side in (-1, 1))
-        self.diagonal = np.where(fluid, neighbours, 0).astype(np.uint8)
+        self.diagonal: NDArray[Any] = np.where(fluid, neighbours, 0).astype(np.uint8)
+        self.reaction = reaction
+        if reaction:
+            self.diagonal = np.where(self.diagonal > 0, self.diagonal + reaction, 0.0)
         self.n_unknowns = int(np.count_nonzero(self.diagonal))
         self._sums = np.empty(self.padded_shape[0])
 
@@ -91,7 +100,7 @@ class PressureSystem:
         for axis in range(3):
             for side in (-1, 1):
                 touches |= shifted(air, axis, side)
-        is_open = np.zeros(n + 1, dtype=bool)
+        is_open = np.full(n + 1, self.reaction > 0.0)
         is_open[0] = True
         is_open[np.unique(number[touches & self.unknown])] = True
         renumbered = np.where(is_open, -1, np.cumsum(~is_open) - 1).astype(np.int32)

@@ -26,9 +26,7 @@ class HeatSystem(PressureSystem):
     def __init__(self, cells: int, dim: int, number: float) -> None:
         labels: NDArray[np.uint8] = np.full((cells,) * dim, AIR, dtype=np.uint8)
         labels[(slice(1, -1),) * dim] = FLUID
-        super().__init__(labels)
-        plain = self.diagonal
-        self.diagonal = np.where(plain > 0, plain + 1.0 / number, 0.0)
+        super().__init__(labels, 1.0 / number)
 
     def hot_ball(self, number: float) -> GridArray:
         """Right-hand side of a ball at temperature 1 that loses its heat to walls at 0."""

@@ -41,7 +41,8 @@ class Multigrid:
     Limitations
     -----------
     Coarse voxels do not see walls thinner than they are: porous solids and thin plates cost iterations, 20 to 50 in
-    place of 4 at worst. One process, with threads.
+    place of 4 at worst. A reaction below 1e-3 in a closed domain costs iterations too, one at 1e-4 and three at 1e-6:
+    the coarsest level is not solved, and leaves the mean to conjugate gradients. One process, with threads.
     """
 
     def __init__(self, system: PressureSystem, sweeps: int = 2, dtype: type[np.floating[Any]] = np.float32) -> None:

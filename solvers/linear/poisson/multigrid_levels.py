@@ -58,6 +58,9 @@ class Surface(Protocol):
 def make_levels(system: PressureSystem, surface: Surface, dtype: type[np.floating[Any]]) -> list[Level]:
     """The finest level and those of aggregates of 2^d voxels, until at most four are left along an edge.
 
+    Galerkin's couplings of constants are twice too stiff on each level, which doubled corrections make good. A reaction
+    is summed exactly, so it is doubled on each level to keep its part of the matrix.
+
     Parameters
     ----------
     system : PressureSystem
@@ -70,10 +73,15 @@ def make_levels(system: PressureSystem, surface: Surface, dtype: type[np.floatin
     levels = [Level(system.diagonal, (), system.new_field(dtype), system.new_field(dtype))]
     unknown = system.unknown
     weights = [(unknown & shifted(unknown, axis, 1)).astype(float) for axis in range(3)]
+    reaction = system.reaction * unknown if system.reaction else None
     while max(weights[0].shape) - 2 > _COARSEST_SIZE:
         weights = [_summed(_faces(w, axis)) for axis, w in enumerate(weights)]
         used, air = surface.coarsen(weights)
-        diagonal = (_row_sums(used) + air).astype(dtype)
+        row_sums = _row_sums(used) + air
+        if reaction is not None:
+            reaction = 2.0 * _summed(reaction)
+            row_sums += reaction
+        diagonal = row_sums.astype(dtype)
         stored = tuple(w.astype(dtype) for w in used)
         levels.append(Level(diagonal, stored, np.zeros_like(diagonal), np.zeros_like(diagonal)))
     return levels
@@ -148,7 +156,7 @@ class EvenSurface:
     def __init__(self, system: PressureSystem) -> None:
         unknown = system.unknown
         weights = [(unknown & shifted(unknown, axis, 1)).astype(float) for axis in range(3)]
-        self._air = (system.diagonal - _row_sums(weights)) * unknown
+        self._air = (system.diagonal - system.reaction - _row_sums(weights)) * unknown
         self._spacing = 1
 
     def coarsen(self, weights: list[Any]) -> tuple[list[Any], Any]:

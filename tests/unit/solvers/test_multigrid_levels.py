@@ -54,8 +54,8 @@ def rough(system: PressureSystem, seed: int = 0) -> GridArray:
     return b
 
 
-def iterations(labels: NDArray[np.uint8], sweeps: int) -> int:
-    system = PressureSystem(labels)
+def iterations(labels: NDArray[np.uint8], sweeps: int, reaction: float = 0.0) -> int:
+    system = PressureSystem(labels, reaction)
     answer = ConjugateGradients(system, Multigrid(system, sweeps)).solve(rough(system), 1e-4, 50)
     assert answer.converged, answer.reason
     return answer.iterations
@@ -77,6 +77,27 @@ def test_iterations_do_not_depend_on_where_air_begins(depth: int) -> None:
 @pytest.mark.parametrize("labels", [bubbles(32, 3), bubbles(64, 2)], ids=["3D", "2D"])
 def test_bubbles(labels: NDArray[np.uint8]) -> None:
     assert iterations(labels, 2) <= 4
+
+
+@pytest.mark.parametrize("reaction", [1e-3, 0.1, 1.0, 10.0, 1e3])
+@pytest.mark.parametrize("labels", [pool((32, 32, 32), 32), pool((32, 32, 32), 27), bubbles(64, 2)])
+def test_a_reaction_costs_no_iterations(labels: NDArray[np.uint8], reaction: float) -> None:
+    """From the pressure's matrix to what is all but a multiple of the identity."""
+    assert iterations(labels, 2, reaction) <= 4
+    assert iterations(labels, 1, reaction) <= 8
+
+
+@pytest.mark.parametrize("surface", [EvenSurface, MeasuredSurface])
+def test_a_reaction_on_coarse_levels(surface: type[MeasuredSurface] | type[EvenSurface]) -> None:
+    """It keeps its part of the matrix, whose couplings are twice too stiff on each level."""
+    labels = bubbles(13, 3)
+    system = PressureSystem(labels, 0.3)
+    for k, (level, plain) in enumerate(
+        zip(make_levels(system, surface(system), np.float64), levels_of(labels, surface), strict=True)
+    ):
+        added = level.diagonal - plain.diagonal
+        assert added.sum() == pytest.approx(2**k * 0.3 * system.n_unknowns, rel=1e-12)
+        assert np.all(added[plain.diagonal == 0.0] == 0.0)
 
 
 @pytest.mark.parametrize("make", [lambda: bubbles(13, 3), lambda: open_solids(12), lambda: bubbles(29, 2)])
@@ -144,10 +165,13 @@ def test_without_air_couplings_count_faces() -> None:
 
 
 @pytest.mark.parametrize("sweeps", [1, 2])
+@pytest.mark.parametrize("reaction", [0.0, 0.5])
 @pytest.mark.parametrize("labels", [bubbles(8, 3), pool((8, 8, 8), 5), pool((6, 9, 7), 7), open_solids(8)])
-def test_the_whole_cycle_is_symmetric_positive_definite(labels: NDArray[np.uint8], sweeps: int) -> None:
+def test_the_whole_cycle_is_symmetric_positive_definite(
+    labels: NDArray[np.uint8], sweeps: int, reaction: float
+) -> None:
     """Its matrix, column by column; of closed parts, where the pressure has a constant, what is left of it."""
-    system = PressureSystem(labels)
+    system = PressureSystem(labels, reaction)
     cycle = Multigrid(system, sweeps, np.float64)
     columns = []
     for unit in np.eye(system.n_unknowns):

@@ -119,6 +119,20 @@ def test_closed_and_open_components() -> None:
     assert np.all(constants == 0.0)
 
 
+def test_a_reaction_leaves_no_null_space() -> None:
+    plain, system = PressureSystem(two_rooms(16)), PressureSystem(two_rooms(16), 0.25)
+    assert (plain.n_closed, system.n_closed) == (2, 0)
+    difference = (system.matrix() - plain.matrix()).toarray()
+    np.testing.assert_array_equal(difference, 0.25 * np.eye(plain.n_unknowns))
+    constant = system.extend(np.ones(system.n_unknowns))
+    before = constant.copy()
+    system.project(constant)
+    np.testing.assert_array_equal(constant, before)
+    for wrong in (-1.0, np.nan):
+        with pytest.raises(ValueError, match="indefinite"):
+            PressureSystem(two_rooms(16), wrong)
+
+
 def test_eigenvectors_of_the_empty_box() -> None:
     """Cosines, with the eigenvalue sum of 2 - 2 cos(pi k/n)."""
     shape, mode = (6, 5, 4), (2, 3, 1)
